@@ -110,21 +110,21 @@ def difficulty() -> Figure:
 
 
 def learning() -> Figure:
-    """Draw the learning curves of the first lesson, and of some minutes."""
+    """Draw the learning curves of the ten lines of README, and of larger networks."""
     figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.6), sharey=True)
-    lesson = read("first_lesson.json")["entries"]["ten lines"]["seeds"]
-    for k, (seed, entry) in enumerate(lesson.items()):
-        _, seconds, reached = np.array(entry["curve"]).T
-        left.plot(seconds, 100 * reached, color=COLORS[k], label=f"seed {seed}")
-    left.set_title("the first lesson", fontsize=10)
+    trainings = read("first_lesson_long.json")["trainings"]
+    for k, lesson in enumerate(one for one in trainings if one["name"].startswith("warp, ten lines of README")):
+        _, seconds, reached = np.array(lesson["curve"]).T
+        left.plot(seconds, 100 * reached, color=COLORS[k], label=f"seed {lesson['seed']}")
+    left.set_title("the ten lines of README, all rows", fontsize=10)
     kinds = {"joint": "joint, collision -5", "tip_velocity": "tip_velocity, collision -5"}
-    for training in read("first_lesson_long.json")["trainings"]:
+    for training in trainings:
         for k, (action, start) in enumerate(kinds.items()):
             if training["name"].startswith(f"{start}, seed") and training["rows"] == "own":
                 _, seconds, reached = np.array(training["curve"]).T
                 label = action if training["seed"] == 0 else None
                 right.plot(seconds, 100 * reached, color=COLORS[k], label=label)
-    right.set_title("larger networks, one line for each seed", fontsize=10)
+    right.set_title("larger networks, own rows", fontsize=10)
     for axes in (left, right):
         axes.set_xlabel("seconds on one core")
         axes.set_ylim(0, 100)

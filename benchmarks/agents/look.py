@@ -20,6 +20,7 @@ import numpy as np
 from benchmarks.common import RESULTS, add_workdir, kept_or_temporary, parser, rate, table, write_entry
 from greenhouse_gym.agents import FixedViewsAgent, NextBestViewAgent, RandomViewsAgent
 from greenhouse_gym.agents.looking import LookingAgent
+from greenhouse_gym.common.executors import processes
 from greenhouse_gym.envs.tasks.look import REPORTED_VIEWS
 from greenhouse_gym.evaluation import evaluate
 from greenhouse_gym.evaluation.journal import RecordJournal
@@ -42,6 +43,7 @@ def main() -> None:
     command.add_argument("--seed", type=int, default=0)
     command.add_argument("--moved", action="store_true", help="the plants move before every episode")
     command.add_argument("--agents", nargs="+", choices=AGENTS, default=list(AGENTS))
+    command.add_argument("--workers", type=int, default=1, help="processes")
     command.add_argument("--results", type=Path, default=RESULTS / "look.json")
     add_workdir(command)
     given = command.parse_args()
@@ -49,14 +51,14 @@ def main() -> None:
     names = np.random.default_rng(given.seed).permutation(bank.names(given.split)).tolist()
     problems = [(names[k % len(names)], 0) for k in range(given.episodes)]
     rows = []
-    with kept_or_temporary(given.workdir) as folder:
+    with kept_or_temporary(given.workdir) as folder, processes(given.workers) as executor:
         folder.mkdir(parents=True, exist_ok=True)
         for name in given.agents:
             settings = {"bank": given.bank, "split": given.split, "seed": given.seed, "track": track, "agent": name}
             journal = RecordJournal(folder / f"{given.split}-{track}-{given.seed}-{name}.jsonl", settings)
             found = evaluate(
                 AGENTS[name](max(REPORTED_VIEWS)), given.split, seed=given.seed, problems=problems, journal=journal,
-                bank=bank, task="look", **TRACKS[track],
+                executor=executor, bank=bank, task="look", **TRACKS[track],
             )  # fmt: skip
             figures = settings | summary(found.records, lambda scene: bank.scene(scene).provenance.source or "?")
             write_entry(given.results, f"{given.split}, {track}, {name}", figures)

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from greenhouse_gym.capture import Intrinsics
 from greenhouse_gym.crops.parts import Tomato
@@ -42,7 +43,7 @@ class OrchardFrame(NamedTuple):
     """The frame: image (h, w, 3) RGB in [0, 1], depth (h, w) in m, its cloud with z up, and its labels."""
 
     image: Array
-    depth: Array
+    depth: npt.NDArray[np.float32]
     cloud: Cloud
     labels: list[Label]
 
@@ -50,8 +51,8 @@ class OrchardFrame(NamedTuple):
 def read_orchard(folder: Path) -> OrchardFrame:
     """Read the frame in ``orchard_azure_kinect``; normals are those of the depth image."""
     here = Path(folder) / "orchard_azure_kinect"
-    image = cv2.imread(str(here / "color.jpg"))[..., ::-1] / 255.0
-    depth = cv2.imread(str(here / "depth.png"), cv2.IMREAD_UNCHANGED).astype(np.float32) / 1000
+    image = np.asarray(cv2.imread(str(here / "color.jpg")))[..., ::-1] / 255.0
+    depth = np.asarray(cv2.imread(str(here / "depth.png"), cv2.IMREAD_UNCHANGED)).astype(np.float32) / 1000
     v, u = np.nonzero(depth)
     rays = np.column_stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones(len(u))])
     points = rays * depth[v, u].astype(np.float64)[:, None]
@@ -86,7 +87,7 @@ def measure_orchard(frame: OrchardFrame, shapes: RowShapes) -> dict[str, Any]:
 
 
 def draw_orchard(frame: OrchardFrame, runs: Sequence[RowShapes], file: Path) -> None:
-    """Draw the fruit of each run over the image, beside each other; circles are dark blue within a label's box."""
+    """Draw the fruit of each run over a copy of the image, from left to right; blue in a label's box."""
     pictures = []
     for shapes in runs:
         picture = (255 * frame.image[..., ::-1]).astype(np.uint8)
@@ -106,10 +107,11 @@ def project(tomato: Tomato) -> tuple[Array, float]:
     return np.array([CAMERA.fx * x / z + CAMERA.cx, CAMERA.fy * y / z + CAMERA.cy]), CAMERA.fx * tomato.radius / z
 
 
-def in_box(tomato: Tomato, labels: Sequence[Label]) -> Array:
+def in_box(tomato: Tomato, labels: Sequence[Label]) -> npt.NDArray[np.bool_]:
     """Return for each label (k,) whether the fruit's center lies in its box."""
     pixel = project(tomato)[0]
-    return np.array([bool((label.low <= pixel).all() and (pixel <= label.high).all()) for label in labels])
+    inside = [bool((label.low <= pixel).all() and (pixel <= label.high).all()) for label in labels]
+    return np.array(inside, dtype=np.bool_)
 
 
 def median_redness(tomato: Tomato, frame: OrchardFrame) -> float:

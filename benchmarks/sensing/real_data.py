@@ -4,11 +4,11 @@ python -m benchmarks.sensing.real_data [--only orchard] [--pictures FOLDER]
 
 No setting is changed for them. The apple tree is measured with the normals of its depth image and without them; a label
 is hit if the center of a sphere lies in its box, and of those hit a size is right within 20 % of the caliper. With
---pictures both are drawn beside each other. Tables keep their size; seedlings, some centimetres high, are scaled to the height of a
-piece of a grown plant, and their figures are metres at that height. A seedling's main stem is its skeleton from the
-lowest node to the first fork, or the line through the points with that label. The data come from others and are not
-part of the repository: without the folder GREENHOUSE_GYM_REAL_DATA nothing is measured. Takes 4 minutes. ``--only``
-replaces the results of some sets and keeps those of the others.
+--pictures both are drawn side by side. Tables keep their size; seedlings, some centimetres high, are scaled to the
+height of a piece of a grown plant, and their figures are metres at that height. A seedling's main stem is its skeleton
+from the lowest node to the first fork, or the line through the points with that label. The data come from others and
+are not part of the repository: without the folder GREENHOUSE_GYM_REAL_DATA nothing is measured. --only replaces the
+results of some sets and keeps those of the others. Takes 4 minutes.
 """
 
 from __future__ import annotations

@@ -16,9 +16,10 @@ from greenhouse_gym.agents.planner_agent import safe_commands
 from greenhouse_gym.envs.compliant_physics import CompliantSimulation
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.motion.collision import CollisionChecker, checker_of
+from greenhouse_gym.motion.collision import CollisionChecker
 from greenhouse_gym.motion.inverse_kinematics import Approach, inverse_kinematics
 from greenhouse_gym.motion.path import path_length
+from greenhouse_gym.motion.proof import checker_of
 from greenhouse_gym.planning import plan
 from greenhouse_gym.plants.live import HANGING
 from greenhouse_gym.plants.live_scene import LiveScene, live_scene
@@ -140,7 +141,11 @@ class _Harvest:
     def _next(self) -> tuple[int, Array] | None:
         """Return a fruit to pick next and a path to it; None without one."""
         plants = self._plants
-        left = [k for k in np.flatnonzero(plants.wanted & (plants.state == HANGING)) if self._tried.get(k, 0) < TRIES]
+        left = [
+            k
+            for k in np.flatnonzero(plants.wanted & (plants.state == HANGING)).tolist()
+            if self._tried.get(k, 0) < TRIES
+        ]
         tip, _ = self._tip
 
         def rank(fruit: int) -> tuple[int, float]:

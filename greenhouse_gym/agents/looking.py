@@ -36,10 +36,10 @@ FRUIT_AT, FRUIT_SPREAD = (0.55, 0.0, -0.23), (0.15, 0.6, 0.12)
 NOTHING, OPACITY = np.zeros(4), np.array([0.0, 0.0, 1.0, 1.0])
 """Fraction of light that is lost in a cell by its state: none at all, and as surfaces hide what is behind them."""
 
-_GAP = 0.045  # metres between the arm and the centers of cells that are not known to be free
+_GAP = 0.04  # metres between the arm and the centers of cells that are not known to be free
 _ARRIVED, _SETTLED = 0.01, 0.03  # radians from a viewpoint, and between command and joints, for a view
 _TRIED = 80  # viewpoints whose motions are checked
-_NEAR = 2  # cells from known ones within which unknown ones are worth a view
+_NEAR = 2  # cells from known ones within which others are worth a view
 _TRUSS, _IN_TRUSS = 2, 3.0  # cells from ripe skin within which fruit is so much more likely
 _POINTS = 700  # unknown cells that are sampled for a view
 _MIN_GAIN = 0.02  # fraction of the points that a view shows
@@ -62,6 +62,7 @@ class CarvedSpace:
         low, high = np.array(ZONE)
         self._in_zone = ((MAP.centers > low) & (MAP.centers < high)).all(axis=1).reshape(MAP.shape)
         self._likely = np.exp(-0.5 * (((MAP.centers - FRUIT_AT) / FRUIT_SPREAD) ** 2).sum(axis=1))
+        self._shown = np.zeros(MAP.size)
         self.update(np.full(MAP.shape, UNKNOWN, dtype=np.uint8))
 
     def update(self, states: npt.NDArray[np.uint8]) -> None:
@@ -99,19 +100,24 @@ class CarvedSpace:
         distance = np.where(cells >= 0, self._distance[cells], np.where(in_aisle, np.inf, 0.0))
         return bool((distance > radius + _GAP).all())
 
-    def unknown(self) -> tuple[Array, Array]:
-        """Return unknown cells of the zone near known ones, or all of them if none is known.
+    def hiding(self) -> tuple[Array, Array]:
+        """Return cells of the zone that may hide fruit: those near known ones that are not free; at first all of them.
 
         Returns:
-            Their centers (k, 3), metres, and the probabilities (k,) that the next fruit is there.
+            Their centers (k, 3), metres, and the probabilities (k,) that the next fruit is there. They are smaller for
+            cells that views have shown, once for each view.
         """
-        unknown = self._in_zone & (self.states == UNKNOWN)
-        known = self.states != UNKNOWN
+        cells, known = self._in_zone & (self.states != FREE), self.states != UNKNOWN
         if known.any():
-            unknown &= binary_dilation(known, iterations=_NEAR)
-        weight = np.where(binary_dilation(self.states == RIPE, iterations=_TRUSS), _IN_TRUSS, 1.0)
-        weight = (weight.reshape(-1) * self._likely)[unknown.reshape(-1)]
-        return MAP.centers[unknown.reshape(-1)], weight / max(weight.sum(), 1e-12)
+            cells &= binary_dilation(known, iterations=_NEAR)
+        weight = np.where(binary_dilation(self.states == RIPE, iterations=_TRUSS), _IN_TRUSS, 1.0).reshape(-1)
+        weight = (weight * self._likely * np.exp(-self._shown))[cells.reshape(-1)]
+        return MAP.centers[cells.reshape(-1)], weight / max(weight.sum(), 1e-12)
+
+    def note_view(self, joints: Array) -> None:
+        """Note which cells a view shows that is taken in a configuration (j,), given the map after it."""
+        cells = np.flatnonzero(self._in_zone & (self.states != FREE))
+        self._shown[cells] += self.shown(joints[None], MAP.centers[cells], OPACITY)[0]
 
     def zone(self) -> Array:
         """Return (k, 3) centers of the cells of the zone."""
@@ -166,6 +172,7 @@ class LookingAgent(NamedAgent, ABC):
         command = np.clip(joints + error, self._problem.robot.lower, self._problem.robot.upper)
         if self._goal is None:
             self._space.update(observation["map"])
+            self._space.note_view(joints)
             self._goal = self._next(command)
         move = action_towards(self._goal, command, self._problem.joint_steps)
         arrived = np.abs(self._goal - command).max() < _ARRIVED and np.abs(error).max() < _SETTLED
@@ -209,16 +216,16 @@ class LookingAgent(NamedAgent, ABC):
 
 
 class NextBestViewAgent(LookingAgent):
-    """Take the view that shows most unknown cells near known ones, where fruit hang (next best view; Connolly, 1985).
+    """Take the view that shows most of the cells that may hide fruit (next best view; Connolly, 1985).
 
-    Cells count by the probability of fruit: by the places of ripe fruit on the training rows, and more near ripe skin,
-    because fruit hang in trusses.
+    These are cells near known ones that are not free. They count by the places of ripe fruit on the training rows, more
+    near ripe skin, because fruit hang in trusses, and less with every view that has shown them.
     """
 
     name = "next-best-view"
 
     def _viewpoints(self, command: Array) -> Iterator[Array]:
-        points, likely = self._space.unknown()
+        points, likely = self._space.hiding()
         points = points[self._rng.choice(len(points), _POINTS, p=likely)] if len(points) else self._space.zone()
         return self._showing(command, points, _MIN_GAIN, OPACITY)
 

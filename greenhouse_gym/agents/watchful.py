@@ -30,6 +30,7 @@ from greenhouse_gym.motion.caution import (
 from greenhouse_gym.motion.collision import CollisionChecker, planning_model
 from greenhouse_gym.motion.goals import MAX_BATCHES, MAX_GOALS, GoalSampler, nearest_free_goals
 from greenhouse_gym.motion.joint_reaches import arm_reaches
+from greenhouse_gym.motion.kernel_checker import search_checker
 from greenhouse_gym.motion.roadmap import REACHED, RESOLUTION, ROADMAP_MARGIN
 from greenhouse_gym.planning import plan
 from greenhouse_gym.rendering.cameras import DepthCamera
@@ -269,7 +270,7 @@ class _Episode:
                 return
 
     def _checker(self, compiled: CompiledScene, margin: float = ROADMAP_MARGIN) -> CollisionChecker:
-        return CollisionChecker(planning_model(compiled, self._problem.target, margin), arm_reaches(compiled.robot))
+        return search_checker(planning_model(compiled, self._problem.target, margin), arm_reaches(compiled.robot))
 
     def _remaining(self, command: Array) -> Array:
         """Return configurations (m, j) along the rest of the path from a configuration (j,), its end included."""

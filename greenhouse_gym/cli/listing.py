@@ -89,6 +89,6 @@ def list_names(
         say("")
 
 
-def _summary(kind: type) -> str:
+def _summary(kind: Callable[[], object]) -> str:
     """Return the first line of a docstring."""
     return (kind.__doc__ or "").strip().splitlines()[0]

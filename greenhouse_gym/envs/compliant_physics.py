@@ -130,7 +130,8 @@ class CompliantPhysics:
         """Run one action: commands move at constant speed to new ones (n, j), and the vacuum is on or off (n,)."""
         count = len(self._sims)
         counts = np.zeros((count, len(CONTACT_GROUPS)), dtype=np.int64)
-        collided, first = np.zeros(count, dtype=np.bool_), {}
+        collided = np.zeros(count, dtype=np.bool_)
+        first: dict[int, Contact] = {}
         leaf_steps = np.zeros(count, dtype=np.int64)
         for i in range(count):
             sim = self.simulation(i)
@@ -213,7 +214,8 @@ class CompliantPhysics:
         geoms = data.contact.geom
         groups = sim.groups[geoms]
         of_arm = np.flatnonzero((groups == _SELF).any(axis=1))
-        counts, pressed, ending = np.zeros(len(CONTACT_GROUPS), dtype=np.int64), {}, -1
+        counts, ending = np.zeros(len(CONTACT_GROUPS), dtype=np.int64), -1
+        pressed: dict[int, float] = {}
         force = np.zeros(6)
         for k in of_arm.tolist():
             group = int(groups[k].min())

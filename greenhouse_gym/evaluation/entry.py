@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -83,11 +84,20 @@ class Entry(BaseModel):
 
     @model_validator(mode="after")
     def _is_whole(self) -> Entry:
-        episodes = self.rules.episodes
+        rules = self.rules
         for track in self.tracks:
             records = self.evaluation(track).records
-            if len(records) != episodes:
-                raise InvalidValueError(f"track {track!r} has {len(records)} records, the protocol {episodes} episodes")
+            if len(records) != rules.episodes:
+                raise InvalidValueError(
+                    f"track {track!r} has {len(records)} records, the protocol {rules.episodes} episodes"
+                )
+            for seed, record in enumerate(records, rules.seed):
+                if record.seed != seed:
+                    raise InvalidValueError(f"track {track!r}: expected the episode of seed {seed}, got {record.seed}")
+                for name in ("steps", "planning_time", "action_time"):
+                    if not 0 <= getattr(record, name) <= sys.maxsize:
+                        value = f"{getattr(record, name)!r:.40}"
+                        raise InvalidValueError(f"track {track!r}, seed {seed}: {name} must be from 0 up, got {value}")
             if changed := next((record.rules for record in records if record.rules), ""):
                 raise InvalidValueError(f"track {track!r} has episodes under other rules: {changed}")
         return self

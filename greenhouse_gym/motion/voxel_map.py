@@ -35,7 +35,7 @@ class VoxelBox:
     @cached_property
     def centers(self) -> Array:
         """(size, 3) centers of the cells in the order of their indices, metres."""
-        return (np.indices(self.shape).reshape(3, -1).T + 0.5) * self.cell + self.low
+        return np.asarray((np.indices(self.shape).reshape(3, -1).T + 0.5) * self.cell + self.low, dtype=np.float64)
 
     def indices(self, points: Array) -> Cells:
         """Return the flat indices (n,) of the cells of points (n, 3), metres; -1 outside of the box."""

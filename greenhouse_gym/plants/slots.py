@@ -242,7 +242,7 @@ class _Filler:
         shapes = shapes._replace(starts=shapes.starts - origin, ends=shapes.ends - origin)
         first = int(model.body_geomadr[body])
         own = slice(first, first + len(shapes.kinds))
-        write_geoms(model, own, shapes, colors)
+        write_geoms(model, own, shapes, colors.tolist())
         model.geom_conaffinity[own] = ALL
         mass, center, inertia, quat = mass_properties(shapes, self._mechanics)
         model.body_mass[body], model.body_inertia[body] = mass, inertia
@@ -289,8 +289,8 @@ def _chosen(arrays: ShapeArrays, rows: Sequence[int]) -> ShapeArrays:
     return ShapeArrays._make(array[list(rows)] for array in arrays)
 
 
-def _joined(first: ShapeArrays, second: ShapeArrays) -> ShapeArrays:
-    return ShapeArrays._make(np.concatenate(pair) for pair in zip(first, second, strict=True))
+def _joined(*parts: ShapeArrays) -> ShapeArrays:
+    return ShapeArrays._make(np.concatenate(arrays) for arrays in zip(*parts, strict=True))
 
 
 def _straight(starts: Array, ends: Array, radius: float) -> ShapeArrays:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import runpy
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -64,8 +65,9 @@ def test_the_arm_moves_through_free_space_alone(space: CarvedSpace) -> None:
     assert space.admits(path[:2])
 
 
-def test_transmittances_end_at_surfaces(space: CarvedSpace) -> None:
+def test_surfaces_and_the_arm_hide_what_is_behind_them() -> None:
     arm, rng = arm_spheres(ARM), np.random.default_rng(0)
+    space = CarvedSpace(replace(arm, radius=np.zeros_like(arm.radius)), ARM.start)
     states = np.full(MAP.shape, FREE, dtype=np.uint8)
     states[10, 20:40, 5:30] = OCCUPIED
     states[12, :20] = RIPE
@@ -81,6 +83,11 @@ def test_transmittances_end_at_surfaces(space: CarvedSpace) -> None:
     expected = visible(arm, configurations, points, lambda at: np.zeros(len(at), dtype=bool))
     assert ((free > 0) & expected).sum() == expected.sum()  # that one leaves out the edge of the image
     assert (free > 0).mean() < 1.2 * expected.mean()
+    with_arm = CarvedSpace(arm, ARM.start)
+    with_arm.update(states)
+    unblocked = with_arm.shown(configurations, points, np.zeros(4))
+    assert 0.1 < unblocked.sum() / free.sum() < 1.0
+    assert (unblocked <= free).all()
     behind = visible(arm, configurations, points, opaque)
     in_both = expected & (free > 0)
     assert 0.1 < (behind & in_both).sum() / in_both.sum() < 0.9
@@ -93,19 +100,25 @@ def test_transmittances_end_at_surfaces(space: CarvedSpace) -> None:
     assert 0 < dim.max() < 0.7, "unknown space may hide points"
 
 
-def test_unknown_cells_that_are_worth_a_view(space: CarvedSpace) -> None:
-    assert len(space.unknown()[0]) == len(space.zone())
+def test_cells_that_are_worth_a_view(space: CarvedSpace) -> None:
+    assert len(space.hiding()[0]) == len(space.zone())
     states = np.full(MAP.shape, UNKNOWN, dtype=np.uint8)
     states[:10] = FREE
     space.update(states)
-    points, likely = space.unknown()
+    points, likely = space.hiding()
     assert 0 < len(points) < len(space.zone())
     assert points[:, 0].max() < MAP.low[0] + 12 * MAP.cell
     assert likely.sum() == pytest.approx(1.0)
     states[9, 30, 14] = RIPE
     space.update(states)
+    points, boosted = space.hiding()
     near = np.linalg.norm(points - MAP.centers.reshape(*MAP.shape, 3)[9, 30, 14], axis=1) < 0.06
-    assert (space.unknown()[1][near] > likely[near]).all(), "fruit hang in trusses"
+    assert boosted[near].min() > 2 * np.median(boosted[(np.abs(points[:, 1]) < 0.1) & ~near]), "fruit hang in trusses"
+    space.note_view(ARM.start)
+    seen = space.shown(ARM.start[None], points, OPACITY)[0] > 0.5
+    assert seen.any()
+    again = space.hiding()[1] / boosted
+    assert again[seen].max() < again[~seen].min(), "cells that a view has shown count less"
 
 
 def test_the_example_runs(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -132,7 +133,7 @@ def test_tracks_of_an_entry_are_kept_where_all_else_agrees(
         {"agent": "somebody"},
         {"bank_sha256": "0" * 64},
         {"versions": {**entry.versions, "mujoco": "1.0"}},
-        {"protocol": {**entry.protocol, "seed": 1}},
+        {"protocol": {**entry.protocol, "timeout": 1.0}},
     ):
         assert list(then(**changes).tracks) == ["truth"], changes
 
@@ -204,12 +205,13 @@ TRACK_DAMAGES: dict[str, Callable[[dict[str, Any]], Any]] = {
     **{
         f"{name} is {value!r}": lambda track, name=name, value=value: track[name].__setitem__(1, value)  # type: ignore[misc]
         for name, values in {
-            "seed": ("1", None, 1.5, [1], {}),
+            "seed": ("1", None, 1.5, [1], {}, 0, 2, -1),
+            "steps": (-1, 10**300, "1"),
             "success": (None, 1, "true", 0.0),
             "collision": (None, "false"),
             "contact": (None, "arm", [1], {"a": "b"}),
-            "action_time": ("x", None, True, [0.1], "1.0"),
-            "planning_time": ([1], "1"),
+            "action_time": ("x", None, True, [0.1], "1.0", -0.1, math.nan, math.inf),
+            "planning_time": ([1], "1", -1e-9),
             "scene": (None, 3, ["a"]),
             "difficulty": (None, 3, ["easy"]),
             "failure": (None, 0),

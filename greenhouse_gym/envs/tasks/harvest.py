@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
 from greenhouse_gym.envs.episodes import Episode, EpisodeSampler
 from greenhouse_gym.envs.features import FEATURES, MAX_OFFSET, Feature
-from greenhouse_gym.envs.rewards import Reward, Transition
+from greenhouse_gym.envs.rewards import Transition
 from greenhouse_gym.envs.state import Bools, State, lengths
 from greenhouse_gym.envs.task import TARGET_FEATURES, Outcome, Task
 from greenhouse_gym.errors import InvalidValueError, require_choice
@@ -135,17 +135,17 @@ class TomatoHarvest(Task):
         mechanics: Mechanics of the plants.
     """
 
-    ends_on: ClassVar[Collection[str]] = ("fixture", "self")
-    features: ClassVar[Mapping[str, Feature]] = HARVEST_FEATURES
-    rewards: ClassVar[Mapping[str, Reward]] = MappingProxyType(
+    ends_on = ("fixture", "self")
+    features = HARVEST_FEATURES
+    rewards = MappingProxyType(
         {
             "dense": HarvestReward(),
             "sparse": HarvestReward(detached=0, dropped=0, knocked=0, damage=0, collision=0, progress=0, time=0),
         }
     )
-    memory: ClassVar[Mapping[str, float]] = MappingProxyType(dict.fromkeys(("wanted", "worked", *COUNTED), 0.0))
+    memory = MappingProxyType(dict.fromkeys(("wanted", "worked", *COUNTED), 0.0))
 
-    controls: ClassVar[tuple[str, ...]] = ("vacuum",)  # type: ignore[misc]
+    controls = ("vacuum",)
 
     size: str = "pick"
     ripe: float = RIPE

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +13,7 @@ from gymnasium import spaces
 
 from greenhouse_gym.envs.episodes import Episode, EpisodeSampler
 from greenhouse_gym.envs.features import Feature
-from greenhouse_gym.envs.rewards import Reward, SparseReward, Transition
+from greenhouse_gym.envs.rewards import SparseReward, Transition
 from greenhouse_gym.envs.state import Bools, State
 from greenhouse_gym.envs.task import Outcome, Task
 from greenhouse_gym.errors import InvalidValueError
@@ -106,20 +106,18 @@ class TomatoLook(Task):
     ripe: float = 0.7
     camera: DepthCamera = field(default_factory=DepthCamera)
 
-    controls: ClassVar[tuple[str, ...]] = ("look",)
-    allows_cup_contact: ClassVar[bool] = False
-    knows_scan: ClassVar[bool] = False
-    features: ClassVar[Mapping[str, Feature]] = MappingProxyType(
+    controls = ("look",)
+    allows_cup_contact = False
+    knows_scan = False
+    features = MappingProxyType(
         {
             "views": Feature(lambda s: s.memory["views"][:, None], lambda r: (np.zeros(1), np.full(1, _MANY))),
             "found": Feature(lambda s: s.memory["found"][:, None], lambda r: (np.zeros(1), np.full(1, _MANY))),
         }
     )
-    rewards: ClassVar[Mapping[str, Reward]] = MappingProxyType({"dense": LookReward(), "sparse": SparseReward()})
-    arrays: ClassVar[Mapping[str, spaces.Box]] = MappingProxyType(
-        {"map": spaces.Box(UNKNOWN, RIPE, MAP.shape, dtype=np.uint8)}
-    )
-    memory: ClassVar[Mapping[str, npt.ArrayLike]] = MappingProxyType(
+    rewards = MappingProxyType({"dense": LookReward(), "sparse": SparseReward()})
+    arrays = MappingProxyType({"map": spaces.Box(UNKNOWN, RIPE, MAP.shape, dtype=np.uint8)})
+    memory = MappingProxyType(
         {
             "ripe": 0, "found": 0, "fraction": 0.0, "views": 0, **{f"fraction_{k}": 0.0 for k in REPORTED_VIEWS},
             "map": np.full(MAP.shape, UNKNOWN, dtype=np.uint8),

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from greenhouse_gym.geometry import Array, Sphere
@@ -21,7 +22,7 @@ from greenhouse_gym.shapes.colors import redness
 from greenhouse_gym.shapes.evidence import SHELL, nearest_shapes
 from greenhouse_gym.shapes.fruit.spheres import SphereFit
 from greenhouse_gym.shapes.settings import ShapeSettings
-from greenhouse_gym.shapes.surface_cloud import SurfaceCloud
+from greenhouse_gym.shapes.surface_cloud import Mask, SurfaceCloud
 
 RED = 0.22
 """(R - G) / (R + G) above which skin is red: about half way from leaves to ripe fruit."""
@@ -34,9 +35,10 @@ _GRID, _REACH = 13, 1.25  # cells across a ball's picture, and half its width in
 _SHELL, _SHELL_BOUNDS = 0.2, (0.003, 0.009)  # distance from a ball at which points are its skin: radii, metres
 _HIDDEN, _OUTSIDE = 0.3, 0.3  # weights of hidden area and of skin that continues, against that of area on the ball
 _MIN_FILLED, _MIN_PURITY = 0.25, 0.6  # fraction of a ball's picture that is skin, and of what is not hidden
+_MAX_OUTSIDE, _MIN_BULGE = 0.5, 0.2  # skin that continues, and curvature: a red wall has 1 and 0
 _SEPARATION = 0.8  # distance of two balls' centers, as a fraction of the sum of their radii
 _MAX_OWNED = 0.4  # fraction of a ball's skin that may belong to others
-_SIZE_SPREAD = 0.35  # standard deviation of the logarithm of a row's radii
+_SIZE_SPREAD = 0.25  # standard deviation of the logarithm of a row's radii
 _SHIFTS = 0.15 * np.array([[0, 0, 0], *np.eye(3), *-np.eye(3)])  # moves tried in refinement, in radii
 _SCALES = np.array([-0.12, -0.06, 0.0, 0.06, 0.12])  # changes of the radius tried in refinement
 _ROUNDS = 3
@@ -46,6 +48,9 @@ _BATCH = 400
 _TICKS = (np.arange(_GRID) + 0.5) / _GRID * 2 * _REACH - _REACH
 _FROM_CENTER = np.hypot(*np.meshgrid(_TICKS, _TICKS)).ravel()
 _DISC, _RING = _FROM_CENTER < 1.0, (_FROM_CENTER >= 1.05) & (_FROM_CENTER < 1.3)
+
+
+Rows = npt.NDArray[np.int64]
 
 
 class RedFruit(NamedTuple):
@@ -66,6 +71,7 @@ class _Balls(NamedTuple):
         hidden: (k,) fraction hidden by something in front.
         outside: (k,) fraction of a ring around it where red skin continues.
         off: (k,) mean distance of the skin from the ball, in radii.
+        bulge: (k,) by how much the skin recedes toward the outline: 0 for a plane, 0.5 and more for a ball.
     """
 
     centers: Array
@@ -75,6 +81,7 @@ class _Balls(NamedTuple):
     hidden: Array
     outside: Array
     off: Array
+    bulge: Array
 
     @property
     def gain(self) -> Array:
@@ -83,18 +90,23 @@ class _Balls(NamedTuple):
         return np.asarray(np.pi * self.radii**2 * net * (1 - self.off))
 
     def rank(self, usual: float | None) -> Array:
-        """Return the gain (k,), less for radii unlike the usual one: it decides where several balls explain a patch."""
+        """Return the gain (k,), less for radii unlike the usual one as far as a ball does not show its own size."""
         if usual is None:
             return self.gain
-        return np.asarray(self.gain * np.exp(-(np.log(self.radii / usual) ** 2) / (2 * _SIZE_SPREAD**2)))
+        unlike = np.log(self.radii / usual) ** 2 / (2 * _SIZE_SPREAD**2)
+        return np.asarray(self.gain * np.exp(-(1 - self.skin) * unlike))
 
     def confidence(self, noise: float) -> Array:
         """Return the fraction (k,) of the area seen that is skin, if as much as noise may fake counts against it."""
         area, faked = np.pi * self.radii**2, np.pi * (_NOISE_REACH * noise) ** 2
         return np.asarray(area * self.skin / (area * (self.skin + self.other) + faked))
 
-    def select(self, rows: Sequence[int] | Array) -> _Balls:
+    def select(self, rows: Rows) -> _Balls:
         return _Balls(*(values[rows] for values in self))
+
+
+def _joined(parts: Sequence[_Balls]) -> _Balls:
+    return _Balls(*(np.concatenate(values) for values in zip(*parts, strict=True)))
 
 
 def find_red(surface: SurfaceCloud, found: Sequence[Sphere], settings: ShapeSettings) -> RedFruit:
@@ -102,7 +114,7 @@ def find_red(surface: SurfaceCloud, found: Sequence[Sphere], settings: ShapeSett
 
     Args:
         surface: The cloud with a point per voxel of ``settings.voxel``.
-        found: Fruit found before. A ball may cover smaller ones, which `sits_on` then tells apart from real fruit.
+        found: Fruit found before. A ball may cover smaller ones; `sits_on` says which.
         settings: All settings.
     """
     smallest = max(settings.radii[0], _NOISE_REACH * surface.noise)
@@ -120,7 +132,7 @@ def find_red(surface: SurfaceCloud, found: Sequence[Sphere], settings: ShapeSett
     steps = 1 + int(np.log(settings.radii[1] / smallest) / np.log(_RADIUS_STEP))
     radii = np.geomspace(smallest, settings.radii[1], steps)
     laid = [_lay(scene, is_red, unexplained, float(radius), seen_from) for radius in radii]
-    balls = _Balls(*map(np.concatenate, zip(*laid, strict=True)))
+    balls = _joined(laid)
     tree = cKDTree(scene.points[is_red])
     owned = ~unexplained[is_red]
     chosen = _select(balls, tree, owned)
@@ -129,8 +141,10 @@ def find_red(surface: SurfaceCloud, found: Sequence[Sphere], settings: ShapeSett
     usual = _usual_radius(chosen)
     chosen = _select(balls, tree, owned, usual)
     spheres = np.column_stack([chosen.centers, chosen.radii])
-    refined = [_refine(scene, is_red, sphere, seen_from, usual) for sphere in spheres]
-    chosen = _select(_Balls(*map(np.concatenate, zip(*refined, strict=True))), tree, owned, usual)
+    largest = 1.1 * settings.radii[1]
+    refined = [_refine(scene, is_red, sphere, seen_from, usual, largest) for sphere in spheres]
+    chosen = _select(_joined(refined), tree, owned, usual)
+    chosen = chosen.select(np.flatnonzero(chosen.radii < 0.99 * largest))  # the others would have grown on
     rows = around[is_red]
     fits = [_as_fit(chosen, k, tree, rows, scene.normals[is_red]) for k in range(len(chosen.radii))]
     return RedFruit(fits, chosen.confidence(surface.noise))
@@ -138,10 +152,8 @@ def find_red(surface: SurfaceCloud, found: Sequence[Sphere], settings: ShapeSett
 
 def sits_on(small: Sphere, balls: Sequence[Sphere]) -> bool:
     """Return whether a sphere is a bump on a much larger ball."""
-    gaps = [
-        np.linalg.norm(small.center - ball.center) - ball.radius for ball in balls if ball.radius > 2 * small.radius
-    ]
-    return bool(gaps) and min(gaps) < small.radius
+    larger = (ball for ball in balls if ball.radius > 2 * small.radius)
+    return any(np.linalg.norm(small.center - ball.center) < ball.radius + small.radius for ball in larger)
 
 
 class _Views:
@@ -159,12 +171,12 @@ class _Views:
         return np.asarray(self._views[self._tree.query(points)[1]])
 
 
-def _cells(cloud: Cloud, red: Array, size: float) -> Cloud:
+def _cells(cloud: Cloud, red: Mask, size: float) -> Cloud:
     """Return the cloud's mean points per cell, with the fraction of red points as color."""
     return voxel_means(Cloud(cloud.points, np.repeat(red[:, None], 3, axis=1).astype(float), cloud.normals), size)[0]
 
 
-def _lay(cloud: Cloud, red: Array, start: Array, radius: float, seen_from: _Views) -> _Balls:
+def _lay(cloud: Cloud, red: Mask, start: Mask, radius: float, seen_from: _Views) -> _Balls:
     """Lay balls behind the red points at ``start``: against the view, and half way to their normals."""
     poles = _cells(cloud.select(start), red[start], _SPACING * radius)
     views = seen_from(poles.points)
@@ -174,7 +186,7 @@ def _lay(cloud: Cloud, red: Array, start: Array, radius: float, seen_from: _View
     return _compare(_cells(cloud, red, _CELL * radius), centers, np.concatenate([views, views]), radius)
 
 
-def _refine(cloud: Cloud, red: Array, ball: Array, seen_from: _Views, usual: float) -> _Balls:
+def _refine(cloud: Cloud, red: Mask, ball: Array, seen_from: _Views, usual: float, largest: float) -> _Balls:
     """Move and scale a ball (4,) to where its rank is highest."""
     view = seen_from(ball[None, :3])
     near = np.flatnonzero(np.linalg.norm(cloud.points - ball[:3], axis=1) < 4 * ball[3])
@@ -183,9 +195,10 @@ def _refine(cloud: Cloud, red: Array, ball: Array, seen_from: _Views, usual: flo
         tried = []
         for scale in 1 + 0.8**k * _SCALES:
             centers = ball[:3] + 0.7**k * ball[3] * _SHIFTS @ _picture_axes(view)[:, 0]
-            tried.append(_compare(cells, centers, np.repeat(view, len(centers), axis=0), ball[3] * scale))
-        balls = _Balls(*map(np.concatenate, zip(*tried, strict=True)))
-        best = balls.select([int(np.argmax(balls.rank(usual)))])
+            radius = min(float(ball[3] * scale), largest)
+            tried.append(_compare(cells, centers, np.repeat(view, len(centers), axis=0), radius))
+        balls = _joined(tried)
+        best = balls.select(np.array([np.argmax(balls.rank(usual))]))
         ball = np.append(best.centers[0], best.radii[0])
     return best
 
@@ -204,11 +217,11 @@ def _compare(cells: Cloud, centers: Array, views: Array, radius: float) -> _Ball
         _pictures(cells, tree, centers[k : k + _BATCH], views[k : k + _BATCH], radius)
         for k in range(0, len(centers), _BATCH)
     ]
-    return _Balls(centers, np.full(len(centers), radius), *np.concatenate([np.zeros((0, 5)), *parts]).T)
+    return _Balls(centers, np.full(len(centers), radius), *np.concatenate([np.zeros((0, 6)), *parts]).T)
 
 
 def _pictures(cells: Cloud, tree: cKDTree, centers: Array, views: Array, radius: float) -> Array:
-    """Return the last five columns of `_Balls` for balls (k,), from a picture of each in `_GRID` squared cells."""
+    """Return the last six columns of `_Balls` for balls (k,), from a picture of each in `_GRID` squared cells."""
     around = tree.query_ball_point(centers, 1.4 * radius)
     ahead = tree.query_ball_point(centers + 1.9 * radius * views, 1.6 * radius)
     lists = [*around, *ahead]
@@ -226,18 +239,27 @@ def _pictures(cells: Cloud, tree: cKDTree, centers: Array, views: Array, radius:
     ahead_of = (distance > 1 + shell) & (depth**2 > 1 - x**2 - y**2) & (depth > 0)
     other = ~skin & ~ahead_of & (depth > -1.4) & ((depth > -0.2) | (distance < 1 - shell))
 
-    def counts(mask: Array) -> Array:
+    def counts(mask: Mask) -> Rows:
         return np.bincount(pixel[mask], minlength=len(centers) * _GRID**2).reshape(len(centers), -1)
 
     skins, others, hiding = counts(skin), counts(other), counts(ahead_of) > 0
     filled = (skins > 0) & (skins >= others)
     hidden = ~filled & hiding
     continues = (counts(red & (np.abs(depth) < 0.6)) > 0) & ~hidden
-    off = np.bincount(owner[skin], np.abs(distance[skin] - 1), len(centers)) / np.maximum(skins.sum(axis=1), 1)
+
+    def mean(mask: Mask, values: Array) -> Array:
+        count = np.bincount(owner[mask], minlength=len(centers))
+        return np.asarray(np.bincount(owner[mask], values[mask], len(centers)) / np.maximum(count, 1))
+
+    aside = x**2 + y**2
+    patch = red & (aside < 1) & (np.abs(depth - 0.5) < 0.8)  # skin and, on a wall, what is no skin
+    far, spread = mean(patch, aside), mean(patch, aside**2) - mean(patch, aside) ** 2
+    bulge = (far * mean(patch, depth) - mean(patch, aside * depth)) / np.maximum(spread, 1e-3)
+    off = mean(skin, np.abs(distance - 1))
     fractions = [picture[:, part].mean(axis=1) for picture, part in (
         (filled, _DISC), (~filled & ~hiding, _DISC), (hidden, _DISC), (continues, _RING),
     )]  # fmt: skip
-    return np.column_stack([*fractions, off])
+    return np.column_stack([*fractions, off, bulge])
 
 
 def _usual_radius(balls: _Balls) -> float:
@@ -247,10 +269,12 @@ def _usual_radius(balls: _Balls) -> float:
     return float(balls.radii[order[np.searchsorted(total, total[-1] / 2)]])
 
 
-def _select(balls: _Balls, tree: cKDTree, owned: Array, usual: float | None = None) -> _Balls:
+def _select(balls: _Balls, tree: cKDTree, owned: Mask, usual: float | None = None) -> _Balls:
     """Select balls greedily by their rank, separate from each other and with most of their skin to themselves."""
     purity = balls.skin / np.maximum(balls.skin + balls.other, 1e-9)
-    balls = balls.select(np.flatnonzero((balls.skin > _MIN_FILLED) & (purity > _MIN_PURITY) & (balls.gain > 0)))
+    is_ball = (balls.outside < _MAX_OUTSIDE) & (balls.bulge > _MIN_BULGE)
+    is_ball &= (balls.skin > _MIN_FILLED) & (purity > _MIN_PURITY) & (balls.gain > 0)
+    balls = balls.select(np.flatnonzero(is_ball))
     owned, chosen = owned.copy(), list[int]()
     for k in np.argsort(-balls.rank(usual), kind="stable").tolist():
         apart = np.linalg.norm(balls.centers[chosen] - balls.centers[k], axis=1)
@@ -261,7 +285,7 @@ def _select(balls: _Balls, tree: cKDTree, owned: Array, usual: float | None = No
     return balls.select(np.array(chosen, dtype=np.int64))
 
 
-def _as_fit(balls: _Balls, k: int, tree: cKDTree, rows: Array, normals: Array) -> SphereFit:
+def _as_fit(balls: _Balls, k: int, tree: cKDTree, rows: Rows, normals: Array) -> SphereFit:
     """Return a ball with its points among ``rows``, the red points in the tree, with normals."""
     center, radius = balls.centers[k], float(balls.radii[k])
     near = np.array(tree.query_ball_point(center, 1.2 * radius), dtype=np.int64)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from shape_clouds import CAMERA, RED, together
 
 from greenhouse_gym.geometry import Sphere
 from greenhouse_gym.geometry.point_clouds import Cloud, voxel_means
@@ -11,7 +12,6 @@ from greenhouse_gym.shapes import ShapeSettings
 from greenhouse_gym.shapes.domain import outside_domain
 from greenhouse_gym.shapes.fruit.red_fruit import find_red, sits_on
 from greenhouse_gym.shapes.surface_cloud import SurfaceCloud, measure_surface
-from tests.shape_clouds import CAMERA, RED, together
 
 SETTINGS = ShapeSettings()
 GREEN = np.array([0.2, 0.4, 0.1])
@@ -84,9 +84,9 @@ def test_a_bump_sits_on_a_large_ball_and_a_neighbor_does_not() -> None:
 
 def test_normals_under_strong_noise_are_outside_the_networks_domain() -> None:
     rng = np.random.default_rng(4)
-    noisy = surface_of(wall(GREEN, rng, 200_000))
+    noisy = surface_of(wall(GREEN, rng))
     assert "normals vary" in outside_domain(noisy)
-    points, colors, _ = wall(GREEN, rng, 200_000)
+    points, colors, _ = wall(GREEN, rng)
     clean = measure_surface(voxel_means(Cloud(points, colors, np.tile([-1.0, 0.0, 0.0], (len(points), 1))), 0.003)[0])
     assert outside_domain(clean) == ""
     assert outside_domain(noisy.select(np.arange(100))) == "", "too few points to judge"
