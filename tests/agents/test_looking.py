@@ -96,7 +96,7 @@ def test_surfaces_and_the_arm_hide_what_is_behind_them() -> None:
     space.update(states)
     _, origins = wrist_camera(arm.chain, configurations)
     far = np.linalg.norm(points - origins[:, None], axis=2) > 0.6
-    dim = space.shown(configurations, points, OPACITY)[in_both & far]
+    dim = space.shown(configurations, points, np.array([0.1, 0.0, 1.0, 1.0]))[in_both & far]
     assert 0 < dim.max() < 0.7, "unknown space may hide points"
 
 
