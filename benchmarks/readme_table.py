@@ -80,10 +80,7 @@ def main() -> None:
         ("[drift](docs/results/drift.md) of a reconstructed row of 5 m", drift()),
         ("[reached in the true row](docs/results/agents.md), trusting the scan (`hybrid`)", reached("hybrid")),
         ("[reached in the true row](docs/results/agents.md), looking first (`watchful`)", reached("watchful")),
-        (
-            "[learned in 4 minutes on one core](docs/results/learning.md) by the ten lines, easy own targets, as scanned",
-            lesson(),
-        ),
+        ("[learned in 4 minutes on one core](docs/results/learning.md), easy own targets, as scanned", lesson()),
         ("[learned in 91 s on a GPU](docs/results/learning.md) (`ppo-warp-ur5e`), all targets, as scanned", gpu()),
         ("[steps per second](docs/results/speed.md), 256 simulations on two cores", speed()),
     ]
