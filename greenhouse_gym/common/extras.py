@@ -16,7 +16,7 @@ MODULES: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "train": ("stable_baselines3", "torch", "safetensors", "tensorboard", "pandas"),
         "viz": ("matplotlib", "moviepy", "imageio_ffmpeg"),
         "cluster": ("ray",),
-        "data": ("minari",),
+        "data": ("minari", "h5py"),
         "warp": ("warp",),
         "onnx": ("onnx", "safetensors"),
     }

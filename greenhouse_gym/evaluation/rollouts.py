@@ -129,7 +129,8 @@ def changed_rules(agent: str, own: Mapping[str, Any], options: Mapping[str, Any]
     for key, value in own.items():
         if key in options and not _same(value, options[key]):
             raise InvalidValueError(f"agent {agent!r} needs {key}={_SHOWN.repr(value)}, got {options[key]!r}")
-    rules = {field.name: field.default for field in fields(EnvSettings)} | dict(options)
+    plain = EnvSettings()
+    rules = {field.name: getattr(plain, field.name) for field in fields(plain)} | dict(options)
     return {
         key: value
         for key, value in own.items()
