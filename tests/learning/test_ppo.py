@@ -22,12 +22,13 @@ import torch
 from stable_baselines3 import PPO, SAC
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
+from greenhouse_gym.agents.policy import Policy
 from greenhouse_gym.agents.policy_agent import PolicyAgent, shipped_policies
 from greenhouse_gym.envs import PathReward
 from greenhouse_gym.errors import FileFormatError, GreenhouseError, InvalidValueError, UnknownNameError
 from greenhouse_gym.learning.policies import load_into, save_policy
 from greenhouse_gym.learning.ppo import PpoSettings, make_ppo, train_ppo
-from greenhouse_gym.learning.sb3 import make_sb3_vec_env
+from greenhouse_gym.learning.sb3 import Sb3VecEnv, make_sb3_vec_env
 from greenhouse_gym.learning.training_files import (
     CHECKPOINT,
     VALIDATION,
@@ -257,6 +258,15 @@ def test_models_that_a_policy_file_cannot_hold_are_named(bank: SceneBank, tmp_pa
     assert not list(tmp_path.iterdir())
 
 
+def model_for(policy: Policy, settings: PpoSettings, env: Sb3VecEnv) -> PPO:
+    """Return a model that scales observations as a policy does: Stable-Baselines3's own, which does not, or ours."""
+    if policy.center.any() or (policy.scale != 1).any():
+        return make_ppo(settings, env)
+    kinds = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}
+    network = {"net_arch": list(settings.hidden), "activation_fn": kinds[settings.activation]}
+    return PPO("MlpPolicy", env, n_steps=8, batch_size=16, policy_kwargs=network, device="cpu")
+
+
 @pytest.mark.parametrize("name", [name for name in shipped_policies() if name.startswith("ppo")])
 def test_a_shipped_policy_goes_back_into_a_model(bank: SceneBank, name: str) -> None:
     """And the model's most likely actions are those of the policy: where they are clipped, and before."""
@@ -264,7 +274,7 @@ def test_a_shipped_policy_goes_back_into_a_model(bank: SceneBank, name: str) -> 
     hidden = tuple(len(bias) for bias in policy.biases[:-1])
     usual = PpoSettings(num_envs=2, rollout_steps=8, batch_size=16, hidden=hidden, activation=policy.activation)
     env = make_sb3_vec_env(2, bank=bank, threads=1, **policy.env_options)
-    model = make_ppo(usual, env)
+    model = model_for(policy, usual, env)
     observations = env.reset()
     assert np.abs(model.predict(observations, deterministic=True)[0] - policy(observations)).max() > 1e-2
     load_into(model, policy)
@@ -275,5 +285,5 @@ def test_a_shipped_policy_goes_back_into_a_model(bank: SceneBank, name: str) -> 
     np.testing.assert_allclose(np.clip(mean, -1, 1), policy(many), atol=1e-5)
     other = {"tanh": "relu", "relu": "tanh"}[policy.activation]
     with pytest.raises(InvalidValueError, match=other):
-        load_into(make_ppo(replace(usual, activation=other), env), policy)
+        load_into(model_for(policy, replace(usual, activation=other), env), policy)
     env.close()
