@@ -70,7 +70,7 @@ class Problem:
         settings, robot, interval = simulation.settings, simulation.robot, simulation.interval
         return cls(
             simulation.known_scene(i), simulation.target(i), robot, simulation.episode(i).start.copy(), seed,
-            make_action(settings.action, robot, interval), interval, settings.step_limit, simulation.task.controls,
+            make_action(settings.action, robot, interval), interval, simulation.step_limit, simulation.task.controls,
             simulation.live(i) if getattr(agent, "knows_truth", False) else None, settings.plants,
         )  # fmt: skip
 

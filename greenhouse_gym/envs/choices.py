@@ -30,6 +30,7 @@ from greenhouse_gym.envs.observations import (
     TaskObservation,
 )
 from greenhouse_gym.envs.rewards import DenseReward, PathReward, Reward, SparseReward, Transition
+from greenhouse_gym.envs.settings import EnvSettings
 from greenhouse_gym.envs.state import State
 from greenhouse_gym.envs.task import Outcome, Task
 from greenhouse_gym.envs.tasks import TASKS, TomatoReach
@@ -67,9 +68,11 @@ def make_task(
 
     Raises:
         UnknownNameError: The task or one of its contact groups does not exist.
-        InvalidValueError: The choice is not a `Task`.
+        InvalidValueError: The choice is not a `Task`, or a size is given for another task than "harvest".
         FileFormatError: The file of a task is missing or cannot be run.
     """
+    if size is not None and choice != "harvest":
+        raise InvalidValueError(f'size belongs to task="harvest", got size={size!r} with task={choice!r}')
     own = load_own(choice, "task", lambda value: isinstance(value, type) and issubclass(value, Task))
     if isinstance(own, str):
         kind = _named("task", own, TASKS)
@@ -81,6 +84,13 @@ def make_task(
     for group in (*task.ends_on, *task.costs):
         require_choice("contact group", group, CONTACT_GROUPS)
     return task
+
+
+def step_limit_of(settings: EnvSettings) -> int:
+    """Return the steps after which an episode is truncated: those of the settings, else those of their task."""
+    if settings.step_limit is not None:
+        return settings.step_limit
+    return make_task(settings.task, settings.success_radius, settings.size).step_limit
 
 
 def make_observation(kind: ObservationChoice | Mapping[str, Any], robot: Robot, task: Task) -> ObservationSpec:

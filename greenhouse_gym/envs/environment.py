@@ -16,8 +16,9 @@ from greenhouse_gym.envs.hindsight import add_goal_functions
 from greenhouse_gym.envs.infos import numbers_only
 from greenhouse_gym.envs.observations import Observed, select
 from greenhouse_gym.envs.rewards import StepResult
-from greenhouse_gym.envs.settings import EnvMixin, EnvSettings, settings_with
+from greenhouse_gym.envs.settings import EnvSettings, settings_with
 from greenhouse_gym.envs.simulation import Simulation
+from greenhouse_gym.envs.specification import EnvMixin
 from greenhouse_gym.errors import EpisodeOverError, require_choice, require_seed
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.rendering.renderer import Viewpoint

@@ -100,7 +100,7 @@ def add_goal_functions(env: Any) -> None:
     if not env.simulation.observe.has_goals:
         return
     simulation = env.simulation
-    rules = simulation.task, simulation.reward_terms, env.settings.step_limit, simulation.brush_cost
+    rules = simulation.task, simulation.reward_terms, simulation.step_limit, simulation.brush_cost
 
     def function(part: str) -> Callable[[npt.ArrayLike, npt.ArrayLike, Info], Any]:
         def compute(achieved_goal: npt.ArrayLike, desired_goal: npt.ArrayLike, info: Info) -> Any:

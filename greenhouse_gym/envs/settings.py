@@ -20,9 +20,8 @@ from greenhouse_gym.envs.episodes import DifficultyChoice, parse_difficulty
 from greenhouse_gym.envs.observations import ObservationChoice
 from greenhouse_gym.envs.randomization import NO_RANDOMIZATION, Randomization
 from greenhouse_gym.envs.rewards import Reward
-from greenhouse_gym.envs.state import RATE, STEP_LIMIT, control_timing
+from greenhouse_gym.envs.state import RATE, control_timing
 from greenhouse_gym.envs.task import Task
-from greenhouse_gym.envs.tasks.harvest import SIZES, STEP_LIMITS
 from greenhouse_gym.errors import InvalidValueError, UnknownKeywordError, check_whole, is_number, require_choice
 from greenhouse_gym.motion.success import SUCCESS_RADIUS
 from greenhouse_gym.robots import ROBOTS, Robot, get_robot
@@ -70,7 +69,7 @@ class EnvSettings:
         capacity: Maximum number of obstacles of a scene; if None, 600 or as many as the largest scene of the bank has.
         success_radius: Maximum distance of the grasp point from the target's center for a success, metres. It belongs
             to the task "reach"; your own task has its own settings.
-        step_limit: Steps after which an episode is truncated; None for the task's own, 200 except for harvests.
+        step_limit: Steps after which an episode is truncated; None for that of the task, 200 except for harvests.
         start: Start configuration: the name of one of the arm's, "ready", "upright" or "folded", or a joint angle for
             each joint, radians; the arm's own if None, which is "ready". The options of a reset may choose another.
         rate: Actions per second; the time between two actions must be a multiple of 10 ms: 100, 50, 25, 20, 10 and so
@@ -96,7 +95,7 @@ class EnvSettings:
     randomization: Randomization = field(default=NO_RANDOMIZATION)
     capacity: int | None = None
     success_radius: float = SUCCESS_RADIUS
-    step_limit: int = None  # type: ignore[assignment]  # replaced by a number at once
+    step_limit: int | None = None
     rate: float = RATE
     start: str | Sequence[float] | None = None
     task: str | Task | type[Task] | Mapping[str, Any] = "reach"
@@ -121,14 +120,8 @@ class EnvSettings:
             raise InvalidValueError(
                 'plants="compliant" needs physics="truth", because only true plants have a topology'
             )
-        if self.size is not None and (self.task != "harvest" or self.size not in SIZES):
-            raise InvalidValueError(
-                f'size belongs to task="harvest" and is one of {", ".join(SIZES)}, got {self.size!r} with task='
-                f"{self.task!r}"
-            )
-        if self.step_limit is None:
-            object.__setattr__(self, "step_limit", self._own_step_limit())
-        check_whole("step_limit", self.step_limit, 1)
+        if self.step_limit is not None:
+            check_whole("step_limit", self.step_limit, 1)
         kinds = (str, Task, Mapping)
         if not isinstance(self.task, kinds) and not (isinstance(self.task, type) and issubclass(self.task, Task)):
             raise InvalidValueError(f"task must be a name, a Task or a subclass of Task, got {self.task!r}")
@@ -145,14 +138,6 @@ class EnvSettings:
                 f"rate must be {1 / TIMESTEP:g} actions per second divided by a whole number (100, 50, 25, 20, ...), "
                 f"got {self.rate!r}"
             )
-
-    def _own_step_limit(self) -> int:
-        return STEP_LIMITS[self.size or "pick"] if self.task == "harvest" else STEP_LIMIT
-
-    def with_fields(self, keywords: Mapping[str, Any]) -> EnvSettings:
-        """Return the settings with other values; the task's own step limit follows the task."""
-        kept = {} if self.step_limit != self._own_step_limit() else {"step_limit": None}
-        return replace(self, **(kept | dict(keywords)))
 
     def agent_options(self) -> dict[str, Any]:
         """Return the keywords of an environment with the same arm (its name or file), spaces and task."""
@@ -173,8 +158,6 @@ class EnvSettings:
         """Return the keywords of ``gymnasium.make`` that differ from the defaults, as JSON holds them where it can."""
         plain = EnvSettings()
         given = {f.name: getattr(self, f.name) for f in fields(self)}
-        if self.step_limit == self._own_step_limit():
-            given["step_limit"] = plain.step_limit
         changed = {name: _as_json(value) for name, value in given.items() if value != getattr(plain, name)}
         return {**changed, "scene": self._scene_by_name()} if self.scene is not None else changed
 
@@ -210,57 +193,6 @@ def _as_json(value: Any) -> Any:
     return described(value) if not isinstance(value, Sequence | Scene) else value
 
 
-class EnvMixin:
-    """Specification, pickles, copies and text of the single and the vector environment.
-
-    A pickled environment becomes a new one with the same settings and random numbers, before its first reset. A copy is
-    in the same state.
-
-    Attributes:
-        settings: Settings of the environment.
-        options: Further keywords of its constructor.
-    """
-
-    settings: EnvSettings
-    options: Mapping[str, Any]
-    _spec: EnvSpec | None = None
-
-    @property
-    def spec(self) -> EnvSpec | None:
-        """Specification with which Gymnasium made the environment, with its step limit."""
-        return self._spec
-
-    @spec.setter
-    def spec(self, spec: EnvSpec | None) -> None:
-        if spec is not None:
-            spec.max_episode_steps = self.settings.step_limit
-            given = {name: value for name, value in spec.kwargs.items() if name != "settings"}
-            spec.kwargs = given | self.settings.keywords()  # own objects by reference, so that JSON holds it
-        self._spec = spec
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        kept = ("_spec", "_np_random", "_np_random_seed", "_rngs")
-        return (
-            _made_again,
-            (type(self), self.settings, self.options),
-            {k: v for k, v in vars(self).items() if k in kept},
-        )
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> Any:
-        twin = memo[id(self)] = object.__new__(type(self))
-        twin.__dict__ = copy.deepcopy(self.__dict__, memo)
-        return twin
-
-    def __repr__(self) -> str:
-        options = {name: value for name, value in self.options.items() if value is not None}
-        given = ", ".join(f"{name}={value!r}" for name, value in (self.settings.keywords() | options).items())
-        return f"{type(self).__name__}({given})"
-
-
-def _made_again(kind: Any, settings: EnvSettings, options: Mapping[str, Any]) -> Any:
-    return kind(settings=settings, **options)
-
-
 def settings_with(callee: str, settings: EnvSettings | None, keywords: Mapping[str, Any]) -> EnvSettings:
     """Return settings (default ones if None) with some fields replaced.
 
@@ -283,7 +215,7 @@ def settings_with(callee: str, settings: EnvSettings | None, keywords: Mapping[s
             )
     if settings is not None:
         _check_kind("settings", settings, EnvSettings, "an EnvSettings")
-    return (settings or EnvSettings()).with_fields(keywords)
+    return replace(settings or EnvSettings(), **keywords)
 
 
 def _check_kind(name: str, value: Any, kinds: type | tuple[type, ...], expected: str) -> None:

@@ -59,6 +59,7 @@ class Simulation:
     Attributes:
         settings: The settings.
         task: The task.
+        step_limit: Steps after which an episode is truncated.
         robot: The arm.
         sampler: Draws the episodes.
         observe: The observation.
@@ -71,6 +72,7 @@ class Simulation:
     def __init__(self, count: int, settings: EnvSettings, threads: int = 0):
         self.settings = settings
         self.task = make_task(settings.task, settings.success_radius, settings.size)
+        self.step_limit = settings.step_limit or self.task.step_limit
         compliant = settings.plants == "compliant"
         if self.task.layout is not None and not compliant:
             raise InvalidValueError(
@@ -227,7 +229,7 @@ class Simulation:
         terminated = after.success | after.failure
         if outcome.next_target is not None:
             self._advance_targets(np.flatnonzero(outcome.next_target & ~terminated & (after.remaining > 1)))
-        truncated = (counts["steps"] >= self.settings.step_limit) & ~terminated
+        truncated = (counts["steps"] >= self.step_limit) & ~terminated
         return StepResult(total_reward(terms), terms, terminated, truncated, transition)
 
     def _look(

@@ -19,7 +19,7 @@ from greenhouse_gym.envs.contacts import CONTACT_GROUPS
 from greenhouse_gym.envs.episodes import Episode, EpisodeSampler
 from greenhouse_gym.envs.features import FEATURES, Feature
 from greenhouse_gym.envs.rewards import REWARDS, Reward
-from greenhouse_gym.envs.state import Bools, State
+from greenhouse_gym.envs.state import STEP_LIMIT, Bools, State
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.plants.layout import Layout
 from greenhouse_gym.plants.mechanics import PlantMechanics
@@ -73,6 +73,7 @@ class Task(ABC):
         allows_cup_contact: The cup may touch the targets of the episode.
         layout: Slots for plants that give way, for a task that needs them; None for one that works with any plants.
         mechanics: Mechanics of plants that give way.
+        step_limit: Steps after which an episode is truncated, unless the environment's setting says otherwise.
         knows_scan: Agents know the scanned scene at the start of an episode; otherwise only where the arm stands.
     """
 
@@ -88,6 +89,7 @@ class Task(ABC):
     allows_cup_contact: bool = True
     layout: Layout | None = None
     mechanics: PlantMechanics = PlantMechanics()
+    step_limit: int = STEP_LIMIT
     knows_scan: bool = True
 
     def sample(self, sampler: EpisodeSampler, rng: np.random.Generator, options: Mapping[str, Any] | None) -> Episode:

@@ -12,14 +12,16 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from greenhouse_gym.envs.choices import step_limit_of
 from greenhouse_gym.envs.contacts import CONTACT_GROUPS
 from greenhouse_gym.envs.episodes import DifficultyChoice
 from greenhouse_gym.envs.hindsight import add_goal_functions
 from greenhouse_gym.envs.infos import Infos, masked, numbers_only
 from greenhouse_gym.envs.observations import Observed, select
 from greenhouse_gym.envs.rewards import StepResult
-from greenhouse_gym.envs.settings import EnvMixin, EnvSettings, settings_with
+from greenhouse_gym.envs.settings import EnvSettings, settings_with
 from greenhouse_gym.envs.simulation import Simulation
+from greenhouse_gym.envs.specification import EnvMixin
 from greenhouse_gym.envs.state import Bools, Ids
 from greenhouse_gym.errors import (
     EpisodeOverError,
@@ -79,7 +81,7 @@ class GreenhouseVectorEnv(  # type: ignore[misc]
     ):
         self.settings = settings_with("GreenhouseVectorEnv", settings, fields)
         if max_episode_steps is not None:
-            limit = check_whole("max_episode_steps", max_episode_steps, 1, self.settings.step_limit)
+            limit = check_whole("max_episode_steps", max_episode_steps, 1, step_limit_of(self.settings))
             self.settings = replace(self.settings, step_limit=limit)
         self.num_envs = num_envs = check_whole("num_envs", num_envs, 1)
         threads = check_whole("threads", threads, 0, MAX_THREADS)

@@ -21,6 +21,7 @@ from greenhouse_gym.common.executors import WorkerLostError, completed, require_
 from greenhouse_gym.common.own_code import described
 from greenhouse_gym.common.progress import progress as progress_of
 from greenhouse_gym.envs import EnvSettings, make_vec_env
+from greenhouse_gym.envs.choices import make_task
 from greenhouse_gym.errors import InvalidValueError, require_seed
 from greenhouse_gym.evaluation.deadline import Deadline, printable
 from greenhouse_gym.evaluation.journal import RecordJournal
@@ -131,6 +132,9 @@ def changed_rules(agent: str, own: Mapping[str, Any], options: Mapping[str, Any]
             raise InvalidValueError(f"agent {agent!r} needs {key}={_SHOWN.repr(value)}, got {options[key]!r}")
     plain = EnvSettings()
     rules = {field.name: getattr(plain, field.name) for field in fields(plain)} | dict(options)
+    rules["step_limit"] = (
+        rules["step_limit"] or make_task(rules["task"], plain.success_radius, rules["size"]).step_limit
+    )
     return {
         key: value
         for key, value in own.items()

@@ -17,6 +17,7 @@ from greenhouse_gym.agents.policy import Policy
 from greenhouse_gym.common.extras import needs
 from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.common.progress import say
+from greenhouse_gym.envs.choices import step_limit_of
 from greenhouse_gym.envs.rewards import DenseReward
 from greenhouse_gym.envs.settings import EnvSettings
 from greenhouse_gym.errors import InvalidValueError, check_whole, require_seed
@@ -128,7 +129,7 @@ class DevicePpo:
         device = self._device = self._observation.device
         count, size = self._observation.shape
         # episodes that all began together would also all end together
-        ages = np.random.default_rng(settings.seed).integers(self.env.settings.step_limit, size=count)
+        ages = np.random.default_rng(settings.seed).integers(step_limit_of(self.env.settings), size=count)
         self.env.simulation.state.steps.assign(ages.astype(np.int32))
         actions = int(self.env.simulation.action.shape[1])
         layout = self.env.simulation.observe.layout

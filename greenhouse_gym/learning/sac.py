@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from greenhouse_gym.common.extras import needs
-from greenhouse_gym.envs import EnvSettings
+from greenhouse_gym.envs.state import STEP_LIMIT
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.learning.sb3 import make_sb3_vec_env
 from greenhouse_gym.learning.settings import SacSettings
@@ -44,7 +44,7 @@ def make_sac(settings: SacSettings) -> Any:
     """
     if settings.guided and settings.observation != "goal_roadmap":
         raise InvalidValueError(f'guided needs observation="goal_roadmap", got {settings.observation!r}')
-    shortest = settings.num_envs * EnvSettings().step_limit
+    shortest = settings.num_envs * STEP_LIMIT
     if settings.random_steps < shortest:
         raise InvalidValueError(
             f"random_steps must be at least {shortest}, so that an episode of each of the {settings.num_envs} "
@@ -126,7 +126,7 @@ def train_sac(
         }  # fmt: skip
         splits = ("train",) if settings.scene is not None else ("train", "validation")
         report = TrainingReport(
-            out, described, model, settings.num_envs * EnvSettings().step_limit, splits, options,
+            out, described, model, settings.num_envs * STEP_LIMIT, splits, options,
             time_limit, checkpoint_seconds, on_validation=on_progress,
         )  # fmt: skip
         return learn(model, report, resume)

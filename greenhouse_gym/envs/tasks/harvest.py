@@ -155,6 +155,7 @@ class TomatoHarvest(Task):
 
     def __post_init__(self) -> None:
         require_choice("size", self.size, SIZES)
+        object.__setattr__(self, "step_limit", STEP_LIMITS[self.size])
         if self.layout is None:
             object.__setattr__(self, "layout", SIZES[self.size])
 

@@ -14,8 +14,10 @@ from gymnasium.vector.utils import batch_space
 
 from greenhouse_gym.common.extras import needs
 from greenhouse_gym.envs.actions import check_actions
+from greenhouse_gym.envs.choices import step_limit_of
 from greenhouse_gym.envs.episodes import DifficultyChoice
-from greenhouse_gym.envs.settings import EnvMixin, EnvSettings, settings_with
+from greenhouse_gym.envs.settings import EnvSettings, settings_with
+from greenhouse_gym.envs.specification import EnvMixin
 from greenhouse_gym.envs.vector import mode_of
 from greenhouse_gym.envs.warp.simulation import TERMS, WarpSimulation
 from greenhouse_gym.errors import InvalidValueError, NoEpisodeError, check_whole, require_choice
@@ -81,7 +83,7 @@ class WarpVectorEnv(EnvMixin, VectorEnv[Any, Any, Any]):  # type: ignore[misc]
     ):
         self.settings = settings_with("WarpVectorEnv", settings, fields)
         if max_episode_steps is not None:
-            limit = check_whole("max_episode_steps", max_episode_steps, 1, self.settings.step_limit)
+            limit = check_whole("max_episode_steps", max_episode_steps, 1, step_limit_of(self.settings))
             self.settings = replace(self.settings, step_limit=limit)
         self.num_envs = num_envs = check_whole("num_envs", num_envs, 1)
         if render_mode is not None:

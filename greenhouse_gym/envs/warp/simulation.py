@@ -10,7 +10,7 @@ import numpy as np
 import warp as wp
 
 from greenhouse_gym.envs.actions import TipVelocity
-from greenhouse_gym.envs.choices import make_action, make_observation
+from greenhouse_gym.envs.choices import make_action, make_observation, step_limit_of
 from greenhouse_gym.envs.episodes import EpisodeSampler
 from greenhouse_gym.envs.observations import ObservationSpec
 from greenhouse_gym.envs.randomization import NO_RANDOMIZATION
@@ -227,7 +227,7 @@ def layout_of(observation: ObservationSpec) -> Any:
 def _rules(settings: EnvSettings, observation: ObservationSpec) -> Any:
     result = Rules()
     reward = REWARDS[settings.reward] if isinstance(settings.reward, str) else settings.reward
-    result.success_radius, result.step_limit = settings.success_radius, settings.step_limit
+    result.success_radius, result.step_limit = settings.success_radius, step_limit_of(settings)
     for term in TERMS:
         setattr(result, term, getattr(reward, term, 0.0))
     result.target_is_obstacle = int(observation.target_is_obstacle)
