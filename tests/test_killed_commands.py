@@ -42,7 +42,7 @@ def arguments(name: str, folder: Path, out: Path) -> list[str]:
 
 
 class Whole:
-    """What a command writes that is left alone."""
+    """Everything that an undisturbed command writes."""
 
     def __init__(self, commands: Commands, name: str, folder: Path):
         self.commands, self.name, self.folder = commands, name, folder

@@ -132,9 +132,8 @@ def changed_rules(agent: str, own: Mapping[str, Any], options: Mapping[str, Any]
             raise InvalidValueError(f"agent {agent!r} needs {key}={_SHOWN.repr(value)}, got {options[key]!r}")
     plain = EnvSettings()
     rules = {field.name: getattr(plain, field.name) for field in fields(plain)} | dict(options)
-    rules["step_limit"] = (
-        rules["step_limit"] or make_task(rules["task"], plain.success_radius, rules["size"]).step_limit
-    )
+    task = make_task(rules["task"], plain.success_radius, rules["size"])
+    rules["step_limit"] = rules["step_limit"] or task.step_limit
     return {
         key: value
         for key, value in own.items()

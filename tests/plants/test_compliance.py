@@ -130,7 +130,7 @@ def test_a_fruit_swings_at_the_frequency_of_a_pendulum(model, ids):
     full = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, full)
     stiffness = model.jnt_stiffness[joint] + model.body_mass[fruit] * GRAVITY * drop
-    # swings about the horizontal axes, of which the inertia couples both: the exact modes of the linear pendulum
+    # swings about the horizontal axes, which the inertia couples: the exact modes of the linear pendulum
     inertia = full[dof : dof + 3, dof : dof + 3]
     gravity = np.diag([stiffness, stiffness, model.jnt_stiffness[joint]])
     modes, shapes = np.linalg.eig(np.linalg.solve(inertia, gravity))
