@@ -56,6 +56,11 @@ def test_passes_the_checkers(env):
     check_env(env, skip_render_check=True)
 
 
+def test_passes_the_checker_of_stable_baselines3(env):
+    checker = pytest.importorskip("stable_baselines3.common.env_checker")
+    checker.check_env(env)
+
+
 def test_an_oracle_picks_a_fruit_into_the_crate(env):
     _, rewards, info = play(env, 0)
     assert info["is_success"]
