@@ -11,6 +11,8 @@ cell is not measured again. Takes seconds for a policy on the kernels, and four 
 from __future__ import annotations
 
 import hashlib
+from functools import cache
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -48,17 +50,14 @@ def main() -> None:
     command.add_argument("--episodes", type=int, default=500)
     a = command.parse_args()
     bank = SceneBank.open("default")
-    for kind in a.kinds:
-        for given in a.policies:
-            policy = PolicyAgent.load(given)
-            about = {"episodes": a.episodes, "bank_sha256": bank.sha256, "policy_sha256": checksum(given)}
-            for cell in a.cells:
-                figures = about | read_entry(RESULT, policy.name, about)
-                key = f"{kind}, {cell}"
-                if key not in figures:
-                    figures[key] = played(policy if kind == "alone" else ShieldedAgent(policy), bank, cell, a.episodes)
-                    print(policy.name, key, figures[key], flush=True)
-                    write_entry(RESULT, policy.name, figures)
+    for kind, cell, given in product(a.kinds, a.cells, a.policies):
+        policy, key = PolicyAgent.load(given), f"{kind}, {cell}"
+        about = {"episodes": a.episodes, "bank_sha256": bank.sha256, "policy_sha256": checksum(given)}
+        figures = about | read_entry(RESULT, policy.name, about)
+        if key not in figures:
+            figures[key] = played(policy if kind == "alone" else ShieldedAgent(policy), cell, a.episodes)
+            print(policy.name, key, figures[key], flush=True)
+            write_entry(RESULT, policy.name, figures)
 
 
 def checksum(policy: str) -> str:
@@ -67,20 +66,32 @@ def checksum(policy: str) -> str:
     return hashlib.sha256(path.with_suffix(".safetensors").read_bytes()).hexdigest()
 
 
-def played(agent: Agent, bank: SceneBank, cell: str, episodes: int) -> dict[str, Any]:
+def played(agent: Agent, cell: str, episodes: int) -> dict[str, Any]:
     """Return the outcomes of an agent in a cell."""
-    source, difficulty = CELLS[cell]
-    where = {"bank": bank.select(split="test", source=source), "split": "test", "difficulty": difficulty}
     if isinstance(agent, PolicyAgent) and agent.env_options["observation"] == "state":
-        return on_kernels(agent, episodes, **where)
-    return outcomes(evaluate(agent, episodes=episodes, seed=SEED, num_envs=16, threads=1, **where).records)
+        return on_kernels(agent, cell, episodes)
+    options = {"num_envs": 16, "threads": 1, **where(cell)}
+    return outcomes(evaluate(agent, "test", episodes, SEED, **options).records)
 
 
-def on_kernels(agent: PolicyAgent, episodes: int, **where: Any) -> dict[str, Any]:
+def where(cell: str) -> dict[str, Any]:
+    """Return the keywords of a cell's environment."""
+    source, difficulty = CELLS[cell]
+    return {"bank": SceneBank.open("default").select(split="test", source=source), "difficulty": difficulty}
+
+
+@cache
+def kernels(cell: str, episodes: int, **options: str) -> Any:
+    """Return the environment of a cell on the kernels, and the options of a reset to the episodes of `evaluate`."""
+    env: Any = make_vec(episodes, backend="warp", split="test", **where(cell), **options).unwrapped
+    drawn = [env.simulation.sampler.draw(np.random.default_rng(SEED + i)) for i in range(episodes)]
+    return env, [{"scene": each.scene, "target": each.targets[0]} for each in drawn]
+
+
+def on_kernels(agent: PolicyAgent, cell: str, episodes: int) -> dict[str, Any]:
     """Return the outcomes of one episode in each of as many simulations."""
-    env = make_vec(episodes, backend="warp", **where, **agent.env_options)
-    drawn = [env.unwrapped.simulation.sampler.draw(np.random.default_rng(SEED + i)) for i in range(episodes)]
-    observation, _ = env.reset(options=[{"scene": each.scene, "target": each.targets[0]} for each in drawn])
+    env, chosen = kernels(cell, episodes, **agent.env_options)
+    observation, _ = env.reset(options=chosen)
     running = np.ones(episodes, dtype=np.bool_)
     success, collision = np.zeros_like(running), np.zeros_like(running)
     while running.any():
@@ -89,7 +100,6 @@ def on_kernels(agent: PolicyAgent, episodes: int, **where: Any) -> dict[str, Any
         success |= ended & info["is_success"]
         collision |= ended & info["collision"]
         running &= ~ended
-    env.close()
     return rates_of(episodes, int(success.sum()), int(collision.sum()))
 
 

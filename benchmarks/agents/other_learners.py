@@ -23,7 +23,6 @@ import greenhouse_gym  # noqa: F401 - registers the environments
 from benchmarks.agents.cells import played
 from benchmarks.common import RESULTS, parser, write_entry
 from greenhouse_gym.learning.sb3 import Sb3Agent
-from greenhouse_gym.scene import SceneBank
 
 LEARNERS = ("SAC", "PPO as in CleanRL")
 
@@ -71,13 +70,12 @@ def main() -> None:
     command.add_argument("--episodes", type=int, default=500)
     a = command.parse_args()
     torch.set_num_threads(1)
-    bank = SceneBank.open("default")
     for name in a.learners:
         model, limit = learner(name, a.seed), Deadline(60 * a.minutes)
         model.learn(STEPS, callback=limit)
         figures = {"seed": a.seed, "minutes": a.minutes, "steps": model.num_timesteps, "curve": limit.curve}
         agent = Sb3Agent(model, name, env_options={})
-        figures |= {cell: played(agent, bank, cell, a.episodes) for cell in ("own, easy", "helios, easy")}
+        figures |= {cell: played(agent, cell, a.episodes) for cell in ("own, easy", "helios, easy")}
         print(name, figures, flush=True)
         write_entry(RESULTS / "other_learners.json", name, figures)
 
