@@ -55,7 +55,7 @@ def main() -> None:
         about = {"episodes": a.episodes, "bank_sha256": bank.sha256, "policy_sha256": checksum(given)}
         figures = about | read_entry(RESULT, policy.name, about)
         if key not in figures:
-            figures[key] = played(policy if kind == "alone" else ShieldedAgent(policy), cell, a.episodes)
+            figures[key] = outcomes_in(policy if kind == "alone" else ShieldedAgent(policy), cell, a.episodes)
             print(policy.name, key, figures[key], flush=True)
             write_entry(RESULT, policy.name, figures)
 
@@ -66,7 +66,7 @@ def checksum(policy: str) -> str:
     return hashlib.sha256(path.with_suffix(".safetensors").read_bytes()).hexdigest()
 
 
-def played(agent: Agent, cell: str, episodes: int) -> dict[str, Any]:
+def outcomes_in(agent: Agent, cell: str, episodes: int) -> dict[str, Any]:
     """Return the outcomes of an agent in a cell."""
     if isinstance(agent, PolicyAgent) and agent.env_options["observation"] == "state":
         return on_kernels(agent, cell, episodes)

@@ -20,7 +20,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 import greenhouse_gym  # noqa: F401 - registers the environments
-from benchmarks.agents.cells import played
+from benchmarks.agents.cells import outcomes_in
 from benchmarks.common import RESULTS, parser, write_entry
 from greenhouse_gym.learning.sb3 import Sb3Agent
 
@@ -75,7 +75,7 @@ def main() -> None:
         model.learn(STEPS, callback=limit)
         figures = {"seed": a.seed, "minutes": a.minutes, "steps": model.num_timesteps, "curve": limit.curve}
         agent = Sb3Agent(model, name, env_options={})
-        figures |= {cell: played(agent, cell, a.episodes) for cell in ("own, easy", "helios, easy")}
+        figures |= {cell: outcomes_in(agent, cell, a.episodes) for cell in ("own, easy", "helios, easy")}
         print(name, figures, flush=True)
         write_entry(RESULTS / "other_learners.json", name, figures)
 
