@@ -37,7 +37,7 @@ def test_boxes_keep_their_budget_and_cover_all_points(budget: int) -> None:
 def test_no_budget_makes_boxes_that_are_mostly_empty() -> None:
     rng = np.random.default_rng(3)
     sheet = np.column_stack([np.zeros(2000), rng.uniform(-0.05, 0.05, (2000, 2))])
-    leaves = [sheet + [0.0, 0.25 * k, 0.0] for k in range(4)]
+    leaves = [sheet + [0.0, 0.4 * k, 0.0] for k in range(4)]
     boxes = cover_with_boxes(np.concatenate(leaves), np.tile([-1.0, 0.0, 0.0], (8000, 1)), 1, SETTINGS)
     assert len(boxes) == 4
     assert all(box.half_extents.max() < 0.08 for box in boxes)
