@@ -54,8 +54,7 @@ def right(shapes: RowShapes) -> list[bool]:
     """Return for each ball whether it was found in its size."""
     return [
         any(
-            np.linalg.norm(t.center - WORLD_FROM_CAMERA @ center) < 0.5 * radius
-            and abs(t.radius / radius - 1) < 0.2
+            np.linalg.norm(t.center - WORLD_FROM_CAMERA @ center) < 0.5 * radius and abs(t.radius / radius - 1) < 0.2
             for t in shapes.tomatoes
         )
         for center, radius in zip(CENTERS, RADII, strict=True)
