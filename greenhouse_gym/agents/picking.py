@@ -18,7 +18,8 @@ from greenhouse_gym.robots.robot import TIP_SITE
 _CLOSING, _CONTACT, _REACHES = 0.12, 0.001, 24  # m/s; gap in metres at which the cup stops; actions at most
 _TURNING, _TURNS = 1.6, 18  # rad/s, and actions of turning before the fruit is also pulled
 _PULLING, _PULLS = 0.06, 36  # m/s, and actions of turning and pulling at most
-_RETREAT, _BACK, _RETREATS = 0.05, 0.25, 16  # metres and m/s by which the tip withdraws, and actions at most
+_RETREAT, _RETREATS = 0.05, 20  # metres by which the tip withdraws, and actions at most
+_BACK, _FASTER = 0.25, 0.05  # m/s at most, and m/s by which it becomes faster per action
 _YIELDING = 0.012  # m/s per N: the tip gives way to what pushes the held fruit
 _SHRUNK, _STEP = 0.9, 0.004  # radius of a held fruit in plans over its own, and metres to which it is rounded up
 _STILL = np.zeros(3)
@@ -81,10 +82,10 @@ def withdraw(trial: Rehearsal, way: Array) -> None:
     """Move the tip in a direction until the fruit at it is clear of the truss, giving way to what holds it up."""
     start, _ = trial.tip
     clear = _RETREAT + 2 * trial.plants.radius(max(trial.plants.held, 0))
-    for _ in range(_RETREATS):
+    for step in range(1, _RETREATS + 1):
         if (trial.tip[0] - start) @ way > clear or trial.plants.held < 0:
             return
-        trial.twist(way * _BACK + _YIELDING * trial.force, _STILL, True)
+        trial.twist(way * min(_BACK, _FASTER * step) + _YIELDING * trial.force, _STILL, True)
 
 
 def with_fruit(robot: Robot, radius: float) -> Robot:
