@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from greenhouse_gym.agents.agent import NamedAgent, Problem
-from greenhouse_gym.agents.picking import close_gap, part, turns, ways_out, with_fruit, withdraw
+from greenhouse_gym.agents.picking import close_gap, part, retreats, turns, with_fruit, withdraw
 from greenhouse_gym.agents.planner_agent import safe_commands
 from greenhouse_gym.agents.rehearsal import Action, Rehearsal
 from greenhouse_gym.errors import InvalidValueError
@@ -30,13 +30,13 @@ HARM = (0, 1)
 
 _CHECKS = 60_000  # collision checks of a plan
 _GUESSES = 400  # configurations from which inverse kinematics starts above the crate
-_GOALS = 30  # configurations at a fruit
+_GOALS, _ENDS = 30, 200  # configurations at a fruit and above the crate
 _AROUND = 0.04  # metres: distance from the crate that paths to fruit keep where they can
 _SCENES = ((True, _AROUND), (True, 0.0), (False, 0.0))  # whether leaves are obstacles, and that distance
 _SEEDS = 2  # plans in each of them
-_ATTEMPTS = 3  # withdrawals with a fruit before a way is given up
+_ATTEMPTS = 3  # withdrawals with a fruit before a direction is given up
 _DROPS, _FALLS = 3, 60  # actions to let go, and at most until the fruit lies still
-_ABOVE, _SPREAD = 0.02, 0.07  # metres: height of the tip above the rim, and spread of the fruit in the crate
+_ABOVE, _SPREAD, _TILT = 0.02, 0.07, 0.5  # metres above the rim, spread in the crate, and radians from upright
 
 
 class OracleHarvester(NamedAgent):
@@ -107,7 +107,7 @@ class _Pick:
         self.failure = ""
 
     def find(self) -> list[Action] | None:
-        """Return the actions of a pick that does as little harm as possible; None if there is none."""
+        """Return the actions of the pick with the least harm; None without one."""
         plants, (tip, _) = self._start.plants, self._start.tip
         left = np.flatnonzero(plants.wanted & (plants.state == HANGING)).tolist()
         far = {fruit: float(np.linalg.norm(plants.center(fruit) - tip)) for fruit in left}
@@ -127,9 +127,9 @@ class _Pick:
                 part(off, fruit, axis)
                 if not self._goes_on(off, fruit) or off.plants.state[fruit] == HANGING:
                     continue
-                for way in ways_out(off):
+                for direction in retreats(off):
                     trial = off.twin()
-                    if not self._deliver(trial, fruit, way):
+                    if not self._deliver(trial, fruit, direction):
                         continue
                     actions = list(trial.actions)
                     trial.wait(fruit, _FALLS)
@@ -152,11 +152,11 @@ class _Pick:
                     yield trial
                     break
 
-    def _deliver(self, trial: Rehearsal, fruit: int, way: Array) -> bool:
+    def _deliver(self, trial: Rehearsal, fruit: int, direction: Array) -> bool:
         """Withdraw, carry the fruit above the crate and let go; return whether a path exists and nothing is lost."""
         loaded = with_fruit(self._robot, trial.plants.radius(fruit))
         for _ in range(_ATTEMPTS):
-            withdraw(trial, way)
+            withdraw(trial, direction)
             if not self._goes_on(trial, fruit):
                 return False
             scene, tomatoes = trial.scene(leaves=True)
@@ -203,8 +203,8 @@ class _Pick:
         point = plants.above_crate(np.array([x, y, 2 * plants.crate.half_extents[2] + _ABOVE]))
         rng = np.random.default_rng(self._problem.seed)
         guesses = rng.uniform(self._robot.lower, self._robot.upper, (_GUESSES, len(command)))
-        down = Approach(np.array([0.0, 0.0, -1.0]), 0.35)
+        down = Approach(np.array([0.0, 0.0, -1.0]), _TILT)
         found, _ = inverse_kinematics(trial.chain, np.vstack([command, guesses]), point, 0.0, self._robot, down)
         near = np.argsort(np.abs(found - command).max(axis=1), kind="stable")
         self._robot.keep_tool_roll(found, command)
-        return np.clip(found[near[:20]], self._robot.lower, self._robot.upper)
+        return np.clip(found[near[:_ENDS]], self._robot.lower, self._robot.upper)

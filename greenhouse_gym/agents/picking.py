@@ -20,7 +20,7 @@ _TURNING, _TURNS = 1.6, 18  # rad/s, and actions of turning before the fruit is 
 _PULLING, _PULLS = 0.06, 36  # m/s, and actions of turning and pulling at most
 _RETREAT, _RETREATS = 0.05, 20  # metres by which the tip withdraws, and actions at most
 _BACK, _FASTER = 0.25, 0.05  # m/s at most, and m/s by which it becomes faster per action
-_YIELDING = 0.012  # m/s per N: the tip gives way to what pushes the held fruit
+_YIELDING = 0.012  # m/s per N: the tip yields to what pushes the held fruit
 _SHRUNK, _STEP = 0.9, 0.004  # radius of a held fruit in plans over its own, and metres to which it is rounded up
 _STILL = np.zeros(3)
 _UP = np.array([0.0, 0.0, 1.0])
@@ -71,21 +71,21 @@ def part(trial: Rehearsal, fruit: int, axis: Array) -> None:
         trial.twist(np.cross(spin, tip - plants.joint_of(fruit)) + pull, spin, True)
 
 
-def ways_out(trial: Rehearsal) -> tuple[Array, ...]:
+def retreats(trial: Rehearsal) -> tuple[Array, ...]:
     """Return directions (3,) to withdraw in: straight back, and back and up or down."""
     _, axis = trial.tip
-    ways = (-axis, _UP * 0.7 - axis, -_UP * 0.7 - axis)
-    return tuple(way / max(float(np.linalg.norm(way)), 1e-9) for way in ways)
+    directions = (-axis, _UP * 0.7 - axis, -_UP * 0.7 - axis)
+    return tuple(direction / max(float(np.linalg.norm(direction)), 1e-9) for direction in directions)
 
 
-def withdraw(trial: Rehearsal, way: Array) -> None:
-    """Move the tip in a direction until the fruit at it is clear of the truss, giving way to what holds it up."""
+def withdraw(trial: Rehearsal, direction: Array) -> None:
+    """Move the tip in a direction until the fruit at it is clear of the truss, yielding to what holds it up."""
     start, _ = trial.tip
     clear = _RETREAT + 2 * trial.plants.radius(max(trial.plants.held, 0))
     for step in range(1, _RETREATS + 1):
-        if (trial.tip[0] - start) @ way > clear or trial.plants.held < 0:
+        if (trial.tip[0] - start) @ direction > clear or trial.plants.held < 0:
             return
-        trial.twist(way * min(_BACK, _FASTER * step) + _YIELDING * trial.force, _STILL, True)
+        trial.twist(direction * min(_BACK, _FASTER * step) + _YIELDING * trial.force, _STILL, True)
 
 
 def with_fruit(robot: Robot, radius: float) -> Robot:

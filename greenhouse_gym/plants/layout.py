@@ -29,7 +29,7 @@ CRATE_BOXES = 6
 """Number of boxes of the crate: bottom, walls and shelf."""
 
 SERVO_ERROR = 0.0375
-"""Error at which servos without a limit of their own exert their largest force, radians: 150 and 38 N m for a UR5e, whose
+"""Error at which servos without a limit of their own exert their largest force, radians: 150 and 38 N m for a UR5e; its
 data sheet says 150 and 28. Without any limit an arm presses what does not move with kilonewtons."""
 
 _PARKED_HEIGHT = 40.0
