@@ -79,6 +79,7 @@ def test_what_fails_in_one_process_is_tried_in_another_next_time(worker: Worker)
 
 
 def test_killed_from_outside_while_planning(scene: Scene) -> None:
+    plan(scene, 0, planner="SBL")  # kernels are compiled from here on
     shared_worker().call("sleep", 0.0, 30.0)
     pid = shared_worker().pid
     assert pid is not None
