@@ -168,7 +168,7 @@ print(result.status, shared_worker().pid)
 """
 
 
-@pytest.mark.parametrize("how", ["-c", "script", "stdin"])
+@pytest.mark.parametrize("how", ["-c", *(pytest.param(how, marks=pytest.mark.slow) for how in ("script", "stdin"))])
 def test_an_interpreter_exits_cleanly_after_planning(scene: Scene, tmp_path: Path, how: str) -> None:
     file = scene.save(tmp_path / "scene.json")
     script = tmp_path / "script.py"
