@@ -24,6 +24,7 @@ from greenhouse_gym.scene.mjcf import _without_obstacles
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+@pytest.hookimpl(tryfirst=True)  # before xdist, which looks at the marks once
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Give the tests of a file to one process of xdist, which makes the fixtures and caches of the file once."""
     for item in items:
@@ -67,6 +68,12 @@ def with_ellipsoids(scene: Scene, seed: int) -> Scene:
         turn = rotation_about(rng.normal(size=3), rng.uniform(0, 3))
         tomatoes[k] = replace(tomatoes[k], shape=Ellipsoid(tomatoes[k].center, axes, turn))
     return scene.model_copy(update={"tomatoes": tuple(tomatoes), "name": f"{scene.name}-ellipsoids"})
+
+
+def pytest_collection_finish() -> None:
+    """Keep the garbage collector from going through modules and tests again and again."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(scope="module", autouse=True)
