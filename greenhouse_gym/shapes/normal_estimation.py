@@ -85,4 +85,4 @@ def _outward(bare: Cloud) -> Array:
 def _smoothed(points: Array, vectors: Array) -> Array:
     """Return the means of vectors (n, 3) over the neighborhoods of points (n, 3)."""
     cells, cell = voxel_means(Cloud(points, np.zeros_like(points), vectors), _PIECE)
-    return Neighborhoods(cells.points, _AROUND).mean(cells.normals)[cell]
+    return np.asarray(Neighborhoods(cells.points, _AROUND).mean(cells.normals)[cell])

@@ -1,7 +1,7 @@
 """Peduncles and pedicels traced through probable points, less the pieces that hardly any such point supports.
 
 A path bridges what is occluded, and on a cloud unlike those the network was fitted to it may lead anywhere. The
-probabilities along a piece tell both apart from stems that were seen.
+probabilities along a piece distinguish both from visible stems.
 """
 
 from __future__ import annotations
