@@ -98,7 +98,7 @@ def segment_to_box(a, b, half):
 
 
 @inlined
-def _to_ellipsoid(a, b, t, e):
+def to_ellipsoid(a, b, t, e):
     """Return the signed distance of a point of a segment to an ellipsoid; see `geometry.distance_to_ellipsoids`."""
     l0, l1, l2 = abs(a[0] + t * (b[0] - a[0])), abs(a[1] + t * (b[1] - a[1])), abs(a[2] + t * (b[2] - a[2]))
     s0, s1, s2 = e[0] * e[0], e[1] * e[1], e[2] * e[2]
@@ -120,17 +120,17 @@ def segment_to_ellipsoid(a, b, axes):
     """Return the signed distance of the segment from a to b to an ellipsoid about the origin, by golden sections."""
     low, high = 0.0, 1.0
     u, v = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
-    at_u, at_v = _to_ellipsoid(a, b, u, axes), _to_ellipsoid(a, b, v, axes)
-    best = min(min(at_u, at_v), min(_to_ellipsoid(a, b, 0.0, axes), _to_ellipsoid(a, b, 1.0, axes)))
+    at_u, at_v = to_ellipsoid(a, b, u, axes), to_ellipsoid(a, b, v, axes)
+    best = min(min(at_u, at_v), min(to_ellipsoid(a, b, 0.0, axes), to_ellipsoid(a, b, 1.0, axes)))
     for _ in range(_SEARCHES):
         if at_u < at_v:
             high, v, at_v = v, u, at_u
             u = high - _GOLDEN * (high - low)
-            at_u = _to_ellipsoid(a, b, u, axes)
+            at_u = to_ellipsoid(a, b, u, axes)
             best = min(best, at_u)
         else:
             low, u, at_u = u, v, at_v
             v = low + _GOLDEN * (high - low)
-            at_v = _to_ellipsoid(a, b, v, axes)
+            at_v = to_ellipsoid(a, b, v, axes)
             best = min(best, at_v)
     return best
