@@ -30,7 +30,6 @@ from greenhouse_gym.cli.options import (
 from greenhouse_gym.common.progress import progress, say
 
 if TYPE_CHECKING:
-    from greenhouse_gym.agents import Agent
     from greenhouse_gym.evaluation import Evaluation
     from greenhouse_gym.evaluation.leaderboard import Entry, Protocol
 
@@ -81,25 +80,33 @@ def compare(
     them differ by more than chance, by McNemar's test on the same episodes. Lengths, steps and clearances are medians
     over the successful episodes.
 
-    An interrupted run prints the tables of the agents that have finished. The work runs in several processes only on
-    request, because parallel processes distort each other's times. For the report, a few episodes are run again at the
-    end.
+    An interrupted run prints the tables of the agents that have finished. With a report, the same command resumes it:
+    the folder REPORT.journal holds the episodes until the report is complete. The work runs in several processes only
+    on request, because parallel processes distort each other's times. For the report, a few episodes are run again at
+    the end.
     """
     from dataclasses import replace
 
     from greenhouse_gym.agents.named import make_agent
     from greenhouse_gym.agents.policy_agent import BEST
+    from greenhouse_gym.common.files import remove_folder, write_atomically
     from greenhouse_gym.errors import require_choice
     from greenhouse_gym.evaluation import compare as run
+    from greenhouse_gym.evaluation.journal import journal_in
     from greenhouse_gym.evaluation.leaderboard import TRACKS
 
     requested = names or ["RRTConnect", BEST, "random"]
     tracks = [require_choice("track", name, TRACKS) for name in comma_separated(track)]
-    chosen = _by_name(requested, [make_agent(name) for name in requested])
+    made = {name: make_agent(name) for name in requested}
+    alike = len({agent.name for agent in made.values()}) < len(made)
+    made_from = {name if alike else agent.name: name for name, agent in made.items()}
+    chosen = {label: made[name] for label, name in made_from.items()}
     shared: dict[str, Any] = {"timeout": timeout}
     shared |= given(robot=robot, task=task, difficulty=comma_separated(difficulty), scene=scene, target=target)
+    journals = None
     if report is not None:
         _require_report(report)
+        journals = report.with_name(f"{report.name}.journal")
     finished: dict[str, list[Evaluation]] = {}
     complete = False
     try:
@@ -108,8 +115,10 @@ def compare(
             try:
                 with executor_of(backend, workers, address) as executor:
                     for label, agent in chosen.items():
-                        options = {"bank": bank, "num_envs": num_envs, **TRACKS[name], **shared}
-                        (found,) = run([agent], split, episodes, seed, executor=executor, **options)
+                        rules = {"bank": bank, "split": split, "seed": seed, **TRACKS[name], **shared}
+                        journal = journals and journal_in(journals, agent, made_from[label], **rules)
+                        spread = {"num_envs": num_envs, "executor": executor, "journal": journal}
+                        (found,) = run([agent], episodes=episodes, **rules, **spread)
                         evaluations.append(replace(found, agent=label))
             finally:
                 if evaluations:
@@ -119,13 +128,14 @@ def compare(
     finally:
         results = {name: found for name, found in finished.items() if any(e.records for e in found)}
         if report is not None and results:
-            from greenhouse_gym.common.files import write_atomically
             from greenhouse_gym.reporting.comparison import comparison_report
 
             title = f"Comparison of {', '.join(chosen)}"
             # without episodes first: running them again may fail or take long
             for shown in ({}, chosen) if complete else ({},):
                 write_atomically(report, comparison_report(title, results, shown, split, bank, **shared))
+            if complete and journals:
+                remove_folder(journals)
             say(f"report in {report}")
 
 
@@ -147,12 +157,6 @@ def print_comparison(evaluations: Sequence[Evaluation]) -> None:
     rows.only(*_MOTION).show()
     for note in (*comparison_notes(evaluations), differences(evaluations)):
         say(f"\n{note}" if note else "")
-
-
-def _by_name(requested: Sequence[str], agents: Sequence[Agent]) -> dict[str, Agent]:
-    """Return agents by their names, or by the requested names if two agents have the same name."""
-    alike = len({agent.name for agent in agents}) < len(agents)
-    return dict(zip(requested if alike else (agent.name for agent in agents), agents, strict=True))
 
 
 def submit(
