@@ -20,7 +20,7 @@ from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.evaluation.entry import V1, Entry, Protocol, columns_of, follows, is_current, read_entry
 from greenhouse_gym.evaluation.journal import RecordJournal, checksum_of, package_versions
 from greenhouse_gym.evaluation.records import Evaluation, Record
-from greenhouse_gym.evaluation.rollouts import AGENTS_CHOICE, changed_rules, evaluate, shown_rules
+from greenhouse_gym.evaluation.rollouts import AGENTS_CHOICE, changed_rules, declares_truth, evaluate, shown_rules
 from greenhouse_gym.scene import DIFFICULTIES, SceneBank
 
 __all__ = [
@@ -98,17 +98,18 @@ def submit(
         "sha256": checksum_of(agent, name)
     }
     for track in tracks:
-        _check_rules(agent.name, shown_rules(changed_rules(agent.name, agent.env_options, _settings(protocol, track))))
+        changed = changed_rules(agent.name, agent.env_options, _settings(protocol, track))
+        _check_rules(agent.name, shown_rules(changed, declares_truth(agent)))
     for track in tracks:
         journal = RecordJournal(path.with_suffix(f".{track}.jsonl"), {**about, "track": track})
         evaluation = _run(agent, protocol, track, protocol.episodes, num_envs, executor, journal)
         entry = _merged(path, fresh)  # other processes may have added tracks
         machine = {f"{track}: {name}": value for name, value in _machine(num_envs, executor).items()}
-        changed = {
+        added = {
             "machine": {**entry.machine, **machine},
             "tracks": {**entry.tracks, track: columns_of(evaluation.records)},
         }
-        write_atomically(path, entry.model_copy(update=changed).model_dump_json() + "\n")
+        write_atomically(path, entry.model_copy(update=added).model_dump_json() + "\n")
         journal.remove()
     return path
 
