@@ -24,6 +24,7 @@ from greenhouse_gym.scene.mjcf import _without_obstacles
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+@pytest.hookimpl(tryfirst=True)  # before xdist, which looks at the marks once
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Give the tests of a file to one process of xdist, which makes the fixtures and caches of the file once."""
     for item in items:
