@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -31,16 +32,20 @@ from greenhouse_gym.common.progress import progress, say
 
 if TYPE_CHECKING:
     from greenhouse_gym.evaluation import Evaluation
+    from greenhouse_gym.evaluation.journal import RecordJournal
     from greenhouse_gym.evaluation.leaderboard import Entry, Protocol
 
 ENTRIES = Path("benchmarks/leaderboard")
 """Folder of the leaderboard's entries in the repository."""
 
+# Paths that are written after an agent ran are absolute: it may change the working folder.
 EntryFolder = Annotated[
-    Path | None, typer.Option("--out", help=f"Folder of the entries; {ENTRIES} by default, where that exists.")
+    Path | None,
+    typer.Option("--out", resolve_path=True, help=f"Folder of the entries; {ENTRIES} by default, where that exists."),
 ]
 ReportFile = Annotated[
-    Path | None, typer.Option("--report", help="HTML file for tables, plots and episodes in 3-D, all in one.")
+    Path | None,
+    typer.Option("--report", resolve_path=True, help="HTML file for tables, plots and episodes in 3-D, all in one."),
 ]
 
 _SUCCESS = ("agent", "success [95 %]", "easy", "medium", "hard", "unreachable", "collision")
@@ -103,10 +108,13 @@ def compare(
     chosen = {label: made[name] for label, name in made_from.items()}
     shared: dict[str, Any] = {"timeout": timeout}
     shared |= given(robot=robot, task=task, difficulty=comma_separated(difficulty), scene=scene, target=target)
-    journals = None
+    rules = {name: {"bank": bank, "split": split, "seed": seed, **TRACKS[name], **shared} for name in tracks}
+    journals: dict[tuple[str, str], RecordJournal] = {}
     if report is not None:
         _require_report(report)
-        journals = report.with_name(f"{report.name}.journal")
+        folder = report.with_name(f"{report.name}.journal")
+        for name, (label, agent) in product(tracks, chosen.items()):
+            journals[name, label] = journal_in(folder, agent, made_from[label], **rules[name])
     finished: dict[str, list[Evaluation]] = {}
     complete = False
     try:
@@ -115,10 +123,8 @@ def compare(
             try:
                 with executor_of(backend, workers, address) as executor:
                     for label, agent in chosen.items():
-                        rules = {"bank": bank, "split": split, "seed": seed, **TRACKS[name], **shared}
-                        journal = journals and journal_in(journals, agent, made_from[label], **rules)
-                        spread = {"num_envs": num_envs, "executor": executor, "journal": journal}
-                        (found,) = run([agent], episodes=episodes, **rules, **spread)
+                        spread = {"num_envs": num_envs, "executor": executor, "journal": journals.get((name, label))}
+                        (found,) = run([agent], episodes=episodes, **rules[name], **spread)
                         evaluations.append(replace(found, agent=label))
             finally:
                 if evaluations:
@@ -134,8 +140,8 @@ def compare(
             # without episodes first: running them again may fail or take long
             for shown in ({}, chosen) if complete else ({},):
                 write_atomically(report, comparison_report(title, results, shown, split, bank, **shared))
-            if complete and journals:
-                remove_folder(journals)
+            if complete:
+                remove_folder(folder)
             say(f"report in {report}")
 
 
@@ -246,7 +252,7 @@ def leaderboard(
 
 def demonstrations(
     agent: AgentArgument = "roadmap",
-    out: Annotated[Path, typer.Option(help="Folder of Minari data sets.")] = Path("demonstrations"),
+    out: Annotated[Path, typer.Option(resolve_path=True, help="Folder of Minari data sets.")] = Path("demonstrations"),
     bank: Bank = "default",
     split: Split = "train",
     observation: Annotated[str, typer.Option(help="Observation to record, unless the agent needs another.")] = "state",
@@ -272,6 +278,7 @@ def watch(
     out: Annotated[
         Path | None,
         typer.Option(
+            resolve_path=True,
             help="File to write, .mp4, .gif or .webp; episode.mp4 by default, or episode.gif without the extra viz.",
             show_default=False,
         ),

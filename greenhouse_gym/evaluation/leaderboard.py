@@ -83,7 +83,7 @@ def submit(
     if not tracks or not set(tracks) <= set(TRACKS):
         raise InvalidValueError(f"tracks must be some of {', '.join(TRACKS)}, got {', '.join(tracks) or 'none'}")
     stem = Path(name).name.replace(":", "-").removesuffix(".json")
-    path = Path(out) / (f"{stem}.json" if protocol == V1 else f"{stem}.trial.json")
+    path = Path(out).absolute() / (f"{stem}.json" if protocol == V1 else f"{stem}.trial.json")
     fresh = Entry(
         agent=name,
         note=note,
