@@ -123,7 +123,11 @@ def compare(
             try:
                 with executor_of(backend, workers, address) as executor:
                     for label, agent in chosen.items():
-                        spread = {"num_envs": num_envs, "executor": executor, "journal": journals.get((name, label))}
+                        spread: dict[str, Any] = {
+                            "num_envs": num_envs,
+                            "executor": executor,
+                            "journal": journals.get((name, label)),
+                        }
                         (found,) = run([agent], episodes=episodes, **rules[name], **spread)
                         evaluations.append(replace(found, agent=label))
             finally:

@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from greenhouse_gym.common.files import resolved
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, require_seed
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.clearance import path_clearance
@@ -123,7 +124,7 @@ def new_folder(bank: str | Path | SceneBank, out: str | Path) -> Path:
     Raises:
         InvalidValueError: It is the folder of that bank.
     """
-    folder = Path(out).resolve()
+    folder = resolved(out)
     if folder == SceneBank.open(bank).path.resolve():
         raise InvalidValueError(f"{folder}: the new bank needs another folder than the bank it is made from")
     return folder

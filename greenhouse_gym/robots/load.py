@@ -23,6 +23,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from greenhouse_gym.common.files import resolved
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, UnknownNameError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots.arm_file import fingerprint, loading, read_arm
@@ -70,7 +71,7 @@ def get_robot(robot: str | Path | Robot) -> Robot:
     if str(robot) in ROBOTS:
         path = ROBOTS[str(robot)]
     elif str(robot).endswith(".xml"):
-        path = Path(robot).resolve()
+        path = resolved(robot)
     else:
         raise UnknownNameError("robot", str(robot), [*ROBOTS, "(or the path of an MJCF file, ending in .xml)"])
     return _read_once(path, fingerprint(path))
@@ -107,7 +108,7 @@ def load_robot(
     Raises:
         FileFormatError: The file lacks a required part, which the message names.
     """
-    path = Path(path).resolve()
+    path = resolved(path)
     with loading(path):
         return _robot(path, tip, start, velocity_limits, acceleration_limits)
 

@@ -248,3 +248,10 @@ def test_memory_that_runs_out_late_is_reported_with_the_file(
     (tmp_path / "arm.xml").write_text(arm_text())
     with pytest.raises(FileFormatError, match=r"arm\.xml: MuJoCo cannot load it: .*memory"):
         load_robot(tmp_path / "arm.xml")
+
+
+def test_a_loop_of_links_is_no_arm(tmp_path: Path) -> None:
+    (tmp_path / "arm.xml").symlink_to(tmp_path / "arm.xml")
+    for read in (load_robot, get_robot):
+        with pytest.raises(FileFormatError, match=r"arm\.xml: no such file"):
+            read(tmp_path / "arm.xml")
