@@ -34,10 +34,12 @@ class MemoryLimit:
     def __init__(self, fraction: float = 1.0):
         self._set: Callable[[int], None] = lambda limit: None
         self._before = self._inside = 0
+        try:
+            import resource
+        except ImportError:  # Windows has no such limits
+            return
         if not _STATM.is_file():
             return
-        import resource
-
         self._before, hard = resource.getrlimit(resource.RLIMIT_DATA)
         taken = int(_STATM.read_text().split()[5]) * os.sysconf("SC_PAGE_SIZE")
         self._inside = taken + int(fraction * available_memory())

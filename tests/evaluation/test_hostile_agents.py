@@ -99,8 +99,10 @@ class Hostile(StillAgent):
         sys.exit("no status")
 
 
-@pytest.mark.parametrize("timeout", [None, 60.0])
-@pytest.mark.parametrize("fault", FAULTS)
+IN_THREADS = [(fault, 60.0) for fault in ("quits", "raises what quits when printed", "answers with a trap")]
+
+
+@pytest.mark.parametrize(("fault", "timeout"), [*((fault, None) for fault in FAULTS), *IN_THREADS])
 def test_no_agent_ends_a_comparison(bank: SceneBank, fault: str, timeout: float | None, tmp_path: Path) -> None:
     agents = [Hostile(fault, 3), Hostile(fault, 1), StillAgent()]
     if fault != "answers with a trap":
@@ -166,8 +168,7 @@ class Greedy(StillAgent):
 
 
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="only Linux limits memory")
-@pytest.mark.parametrize("size", [2**31, 2**20], ids=["at once", "bit by bit"])
-@pytest.mark.parametrize("timeout", [None, 60.0])
+@pytest.mark.parametrize(("size", "timeout"), [(2**31, None), (2**20, 60.0)], ids=["at once", "bit by bit"])
 def test_an_agent_gets_no_more_memory_than_there_is(
     bank: SceneBank, size: int, timeout: float | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
