@@ -70,6 +70,12 @@ def with_ellipsoids(scene: Scene, seed: int) -> Scene:
     return scene.model_copy(update={"tomatoes": tuple(tomatoes), "name": f"{scene.name}-ellipsoids"})
 
 
+def pytest_collection_finish() -> None:
+    """Keep the garbage collector from going through modules and tests again and again."""
+    gc.collect()
+    gc.freeze()
+
+
 @pytest.fixture(scope="module", autouse=True)
 def _caches_end_with_their_file() -> Iterator[None]:
     """Free what the package keeps for later calls, so that a process takes no more memory the more files it runs."""

@@ -53,8 +53,8 @@ NEEDED = {
 }
 
 RUN = """
-import json, sys
-hidden, commands = json.loads(sys.argv[1])
+import json, os, sys
+hidden = set()
 class Hiding:
     def __init__(self, finder):
         self.finder = finder
@@ -62,45 +62,71 @@ class Hiding:
         return getattr(self.finder, name)
     def find_spec(self, name, path=None, target=None):
         return None if name.split(".")[0] in hidden else self.finder.find_spec(name, path, target)
+cases = json.loads(sys.argv[1])
+hidden.update(*(case for case, _ in cases))
 sys.meta_path[:] = map(Hiding, sys.meta_path)
 from typer.testing import CliRunner
 from greenhouse_gym.cli import app
-results = {}
-for name, arguments in commands.items():
-    result = CliRunner().invoke(app, arguments)
-    error = result.exception
-    results[name] = [result.exit_code, type(error).__name__, str(error)]
-print(json.dumps(results))
+import greenhouse_gym.planning
+CliRunner().invoke(app, cases[0][1].get("compare", []))
+for case, commands in cases:
+    if os.fork() == 0:  # what all cases import and load is there already
+        hidden.clear()
+        hidden.update(case)
+        results = {}
+        for name, arguments in commands.items():
+            result = CliRunner().invoke(app, arguments)
+            error = result.exception
+            results[name] = [result.exit_code, type(error).__name__, str(error)]
+        print(json.dumps(results), flush=True)
+        os._exit(0)
+    os.wait()
 """
 
+Outcomes = dict[str, tuple[int, str, str]]
 
-def outcomes(installed: str, out: Path) -> dict[str, tuple[int, str, str]]:
-    """Return the end of each command in a process that finds the modules of one extra only."""
-    from greenhouse_gym.scene import SceneBank
 
-    places = {"out": str(out), "scene": SceneBank.open("mini").names()[0]}
-    commands = {
-        name: [part.format(**places) for part in parts]
-        for name, parts in COMMANDS.items()
-        if name == "compare" or NEEDED[name] - {installed}
-    }
-    hidden = sorted({module for modules in MODULES.values() for module in modules} - set(MODULES.get(installed, ())))
-    arguments = [sys.executable, "-c", RUN, json.dumps([hidden, commands])]
+def ends(cases: list[tuple[list[str], dict[str, list[str]]]]) -> list[Outcomes]:
+    """Return the end of each command of each case: modules that cannot be found, and commands."""
+    arguments = [sys.executable, "-c", RUN, json.dumps(cases)]
     done = subprocess.run(arguments, capture_output=True, text=True, cwd=ROOT, check=False)
     assert done.returncode == 0, done.stderr
-    results: dict[str, tuple[int, str, str]] = json.loads(done.stdout.splitlines()[-1])
+    results = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
+    assert len(results) == len(cases), done.stdout + done.stderr
     return results
 
 
+EVERY_MODULE = sorted({module for modules in MODULES.values() for module in modules})
+
+
+@pytest.fixture(scope="module")
+def outcomes(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Path, Outcomes]]:
+    """Folder and ends of the commands, where the modules of no extra or of one alone are found."""
+    from greenhouse_gym.scene import SceneBank
+
+    cases, folders = [], {installed: tmp_path_factory.mktemp(f"with-{installed}") for installed in ("", *MODULES)}
+    for installed, out in folders.items():
+        places = {"out": str(out), "scene": SceneBank.open("mini").names()[0]}
+        commands = {
+            name: [part.format(**places) for part in parts]
+            for name, parts in COMMANDS.items()
+            if name == "compare" or NEEDED[name] - {installed}
+        }
+        cases.append((sorted(set(EVERY_MODULE) - set(MODULES.get(installed, ()))), commands))
+    return {installed: (folders[installed], results) for installed, results in zip(folders, ends(cases), strict=True)}
+
+
 @pytest.mark.parametrize("installed", ["", *MODULES])
-def test_what_is_missing_is_named_by_its_extra(tmp_path: Path, installed: str) -> None:
-    results = outcomes(installed, tmp_path)
-    assert results.pop("compare")[0] == 0, results
+def test_what_is_missing_is_named_by_its_extra(outcomes: dict[str, tuple[Path, Outcomes]], installed: str) -> None:
+    out, results = outcomes[installed]
+    assert results["compare"][0] == 0, results
     for name, (_, error, message) in results.items():
+        if name == "compare":
+            continue
         assert error == "MissingDependencyError", f"{name}: {error}: {message}"
         (extra,) = re.findall(r"pip install 'greenhouse-gym\[(\w+)\]'", message)
         assert extra in NEEDED[name] - {installed}, f"{name}: {message}"
-    assert not [path for path in tmp_path.rglob("*") if path.is_file() and "recording" not in str(path)]
+    assert not [path for path in out.rglob("*") if path.is_file() and "recording" not in str(path)]
 
 
 def test_pictures_and_films_need_no_extra(tmp_path: Path) -> None:
@@ -109,18 +135,14 @@ def test_pictures_and_films_need_no_extra(tmp_path: Path) -> None:
         "render": ["render", "--bank", "mini", "--out", f"{tmp_path}/scene.png"],
         "watch": ["watch", "random", "--bank", "mini", "--split", "train", "--out", f"{tmp_path}/film.gif", *small],
     }
-    hidden = sorted({module for modules in MODULES.values() for module in modules})
-    arguments = [sys.executable, "-c", RUN, json.dumps([hidden, commands])]
-    done = subprocess.run(arguments, capture_output=True, text=True, cwd=ROOT, check=False)
-    assert [result[0] for result in json.loads(done.stdout.splitlines()[-1]).values()] == [0, 0], done.stdout
+    (results,) = ends([(EVERY_MODULE, commands)])
+    assert [result[0] for result in results.values()] == [0, 0], results
     assert {path.name for path in tmp_path.iterdir()} == {"scene.png", "film.gif"}
 
 
 def test_a_report_without_matplotlib_names_the_extra_before_the_episodes(tmp_path: Path) -> None:
     commands = {"compare": [*COMMANDS["compare"], "--report", str(tmp_path / "report.html")]}
-    arguments = [sys.executable, "-c", RUN, json.dumps([["matplotlib"], commands])]
-    done = subprocess.run(arguments, capture_output=True, text=True, cwd=ROOT, check=False)
-    ((_, error, message),) = json.loads(done.stdout.splitlines()[-1]).values()
+    ((_, error, message),) = ends([(["matplotlib"], commands)])[0].values()
     assert error == "MissingDependencyError"
     assert "greenhouse-gym[viz]" in message
     assert not list(tmp_path.iterdir())

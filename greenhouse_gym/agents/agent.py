@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol, cast, runtime_checkable
 
 import numpy as np
@@ -21,7 +22,7 @@ from greenhouse_gym.envs.actions import (
     with_controls,
 )
 from greenhouse_gym.envs.choices import make_action
-from greenhouse_gym.envs.compliant_physics import CompliantSimulation
+from greenhouse_gym.envs.compliant_physics import CompliantPhysics
 from greenhouse_gym.envs.simulation import Simulation
 from greenhouse_gym.envs.state import STEP_LIMIT, State
 from greenhouse_gym.errors import InvalidValueError
@@ -44,7 +45,7 @@ class Problem:
         interval: Seconds between two actions.
         step_limit: Number of actions after which the episode ends.
         controls: Names of the entries that an action has after those that move the arm, see `Task.controls`.
-        live: The simulation itself with its compliant plants, for agents with ``knows_truth`` alone.
+        rehearsal: Function that copies the simulation with its compliant plants, for agents with ``knows_truth`` alone.
         plants: "rigid", or "brush" if leaves give way, see `greenhouse_gym.envs.EnvSettings`.
     """
 
@@ -57,7 +58,7 @@ class Problem:
     interval: float = INTERVAL
     step_limit: int = STEP_LIMIT
     controls: tuple[str, ...] = ()
-    live: CompliantSimulation | None = None
+    rehearsal: Callable[[], CompliantPhysics] | None = None
     plants: str = "rigid"
 
     @classmethod
@@ -71,7 +72,7 @@ class Problem:
         return cls(
             simulation.known_scene(i), simulation.target(i), robot, simulation.episode(i).start.copy(), seed,
             make_action(settings.action, robot, interval), interval, simulation.step_limit, simulation.task.controls,
-            simulation.live(i) if getattr(agent, "knows_truth", False) else None, settings.plants,
+            partial(simulation.rehearsal, i) if getattr(agent, "knows_truth", False) else None, settings.plants,
         )  # fmt: skip
 
     @property

@@ -14,8 +14,9 @@ from greenhouse_gym.envs.actions import INTERVAL, joint_steps
 from greenhouse_gym.errors import check_whole, require_choice
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.collision import LEAVES
+from greenhouse_gym.motion.unknown_space import guarded
 from greenhouse_gym.planning import PLANNERS, PlanResult, follow_path, free_commands, plan
-from greenhouse_gym.scene import Scene, compile_scene
+from greenhouse_gym.scene import Scene
 
 Level: TypeAlias = tuple[float, str | float]
 """Margin, metres, and rule for unknown space, as `greenhouse_gym.planning.plan` takes them."""
@@ -66,7 +67,8 @@ def path_commands(path: Array, problem: Problem) -> Array:
 
 def safe_commands(scene: Scene, target: int, path: Array, problem: Problem, leaves: str = LEAVES[0]) -> Array:
     """Return the commands along a path that was planned in a scene, proven free between them; see `path_commands`."""
-    return free_commands(compile_scene(scene, problem.robot), target, *_limits(path, problem), leaves=leaves)
+    compiled = guarded(scene, problem.robot, path[0], np.inf)  # as planned with
+    return free_commands(compiled, target, *_limits(path, problem), leaves=leaves)
 
 
 def _limits(path: Array, problem: Problem) -> tuple[Array, Array, Array, float]:

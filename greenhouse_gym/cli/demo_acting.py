@@ -144,6 +144,7 @@ def compare_agents(out: Path, seed: int, settings: DemoSettings, report: DemoRep
         agents: list[Agent] = [PlannerAgent("RRTConnect", unknown="free"), policy, RandomAgent()]
         first = seed + 1_000_000
         row: dict[str, Any] = {"bank": str(out / "bank"), "split": "test", "difficulty": "easy"}
+        row |= {} if settings.step_limit is None else {"step_limit": settings.step_limit}
         evaluations = compare(agents, episodes=settings.episodes, seed=first, **row)
         print_comparison(evaluations)
         write_atomically(out / "comparison.md", comparison_table(evaluations))

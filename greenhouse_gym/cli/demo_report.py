@@ -22,9 +22,12 @@ class DemoSettings:
     episodes: int = 100  # per agent
     scene_width: float = 1.6  # m
     followed: int = 16  # plans followed in the true row
+    step_limit: int | None = None  # of the episodes that are compared and filmed
 
 
-QUICK = DemoSettings(length=0.6, training_bank="mini", training_steps=10_000, episodes=5, scene_width=0.4, followed=3)
+QUICK = DemoSettings(
+    length=0.6, training_bank="mini", training_steps=10_000, episodes=5, scene_width=0.4, followed=3, step_limit=40
+)
 
 
 @dataclass

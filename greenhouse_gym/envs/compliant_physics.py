@@ -76,6 +76,13 @@ class CompliantPhysics:
         twin._felt = list(self._felt)
         return twin
 
+    def twin(self, i: int) -> CompliantPhysics:
+        """Return an independent copy of one simulation in the same state."""
+        view = copy.copy(self)
+        view._sims, view._felt = [self.simulation(i)], [self._felt[i]]
+        view.qpos, view.qvel, view.command = self.qpos[i : i + 1], self.qvel[i : i + 1], self.command[i : i + 1]
+        return copy.deepcopy(view)
+
     @property
     def models(self) -> list[mujoco.MjModel]:
         """The model of each simulation, the geoms of moving bodies first."""

@@ -12,6 +12,7 @@ import numpy as np
 from greenhouse_gym.crops.crop import PlantMotion
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.plants.mechanics import VARYING
 
 
 @dataclass(frozen=True)
@@ -25,6 +26,8 @@ class Randomization:
         joint_offset: Error of the observed joint positions, radians per joint.
         target_position: Error of the observed target position along each axis, metres.
         depth_noise: Depth images have the noise of a D435.
+        mechanics: Relative change, below 1, of each of `greenhouse_gym.plants.mechanics.VARYING`, for
+            ``plants="compliant"``.
         plants: Motion of the true plants since the scan, for ``physics="truth"``; None for none. The scene that agents
             observe and plan in stays as it was scanned.
     """
@@ -34,6 +37,7 @@ class Randomization:
     joint_offset: float = 0.0
     target_position: float = 0.0
     depth_noise: bool = False
+    mechanics: float = 0.0
     plants: PlantMotion | None = None
 
     def __post_init__(self) -> None:
@@ -46,6 +50,8 @@ class Randomization:
             real = isinstance(value, int | float | np.integer | np.floating | np.bool_)
             if not (real and 0 <= value <= sys.float_info.max):
                 raise InvalidValueError(f"randomization {field.name} must be a number from 0 up, got {value!r}")
+        if self.mechanics >= 1:
+            raise InvalidValueError(f"randomization mechanics must be below 1, got {self.mechanics!r}")
 
 
 NO_RANDOMIZATION = Randomization()
@@ -62,6 +68,7 @@ class Disturbance(NamedTuple):
         target: (3,) error added to the observed target, metres.
         noise: Generator of the depth noise, or None.
         plants: Seed of the plants' motion, or None.
+        mechanics: (k,) factors of `greenhouse_gym.plants.mechanics.VARYING`.
     """
 
     shift: Array
@@ -70,6 +77,7 @@ class Disturbance(NamedTuple):
     target: Array
     noise: np.random.Generator | None
     plants: int | None
+    mechanics: Array
 
 
 def draw_disturbance(settings: Randomization, joints: int, rng: np.random.Generator) -> Disturbance:
@@ -85,6 +93,7 @@ def draw_disturbance(settings: Randomization, joints: int, rng: np.random.Genera
         target=uniform(settings.target_position, 3),
         noise=np.random.default_rng(rng.integers(2**63)) if settings.depth_noise else None,
         plants=None if settings.plants is None else int(rng.integers(2**63)),
+        mechanics=1 + uniform(settings.mechanics, len(VARYING)),
     )
 
 

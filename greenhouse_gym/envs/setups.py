@@ -58,5 +58,5 @@ def draw_setup(
         world = worlds.moved(world, randomization.plants, disturbance.plants)
     if worlds.layout is not None:
         fruit = episode.fruit or tuple(dict.fromkeys(world.bodies[list(episode.targets)].tolist()))
-        world = worlds.planted(world, fruit, task.mechanics)
+        world = worlds.planted(world, fruit, task.mechanics.scaled(disturbance.mechanics))
     return Setup(episode, world, disturbance)

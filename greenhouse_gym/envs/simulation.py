@@ -369,14 +369,26 @@ class Simulation:
         return self._physics.model_and_data(i, self._touchable(episode), disturbance)
 
     def live(self, i: int) -> CompliantSimulation:
-        """Return the compliant plants of a simulation as they are, for agents that may know everything.
+        """Return the compliant plants of a simulation as they are.
 
         Raises:
             InvalidValueError: The plants are rigid.
         """
+        return self._compliant.simulation(i)
+
+    def rehearsal(self, i: int) -> CompliantPhysics:
+        """Return a copy of a simulation with compliant plants to try actions in, for agents that may know everything.
+
+        Raises:
+            InvalidValueError: The plants are rigid.
+        """
+        return self._compliant.twin(i)
+
+    @property
+    def _compliant(self) -> CompliantPhysics:
         if not isinstance(self._physics, CompliantPhysics):
             raise InvalidValueError('plants hang live with plants="compliant" alone; use task="harvest"')
-        return self._physics.simulation(i)
+        return self._physics
 
     def _shown_to(self, part: object, state: State) -> State:
         """Return the state as an observation or action gets it; those of a user may not know all of it."""

@@ -13,6 +13,7 @@ from greenhouse_gym.scene.obstacle_slots import build_tree
 _STUB_MASS, _STUB_INERTIA = 1e-3, 1e-6  # kg, kg m^2: pedicel that stays when its fruit has come off
 _STUB_DAMPING = 0.02  # N m s/rad
 _FRICTION = (0.8, 0.01, 0.003)  # sliding, twisting and rolling, of loose fruit
+_SKIN, _HELD_SKIN = (0.02, 1.0), (0.04, 1.0)  # solref of loose and of held fruit: a stiff grip meets soft skin
 _GEOM_SHAPE = ("geom_type", "geom_size", "geom_rbound", "geom_aabb", "geom_rgba")
 
 
@@ -73,7 +74,9 @@ def detach(
     data.geom_xpos[new], data.geom_xmat[new] = data.geom_xpos[old], data.geom_xmat[old]
     _leave_stub(model, data, body)
     build_tree(model, loose)
+    rules = model.eq_data.copy()
     mujoco.mj_setConst(model, scratch)
+    model.eq_data[:] = rules  # it would move the weld of a held fruit to where both bodies are parked
 
 
 def shape_loose(model: mujoco.MjModel, old: int, new: int) -> None:
@@ -153,12 +156,14 @@ def weld(model: mujoco.MjModel, data: mujoco.MjData, ids: SlotIds, body: int) ->
     rule[10] = 1.0
     data.eq_active[ids.weld] = 1
     model.geom_conaffinity[geom] &= ~CUP
+    model.geom_priority[geom], model.geom_solref[geom] = 1, _HELD_SKIN
 
 
 def let_go(model: mujoco.MjModel, data: mujoco.MjData, ids: SlotIds) -> None:
     """Open the weld of the cup."""
     data.eq_active[ids.weld] = 0
     geom = first_geom(model, int(model.eq_obj2id[ids.weld]))
+    model.geom_priority[geom], model.geom_solref[geom] = 0, _SKIN
     if model.geom_conaffinity[geom]:
         model.geom_conaffinity[geom] = ALL
 

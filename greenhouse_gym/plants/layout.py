@@ -28,6 +28,10 @@ SUCTION = "suction"
 CRATE_BOXES = 6
 """Number of boxes of the crate: bottom, walls and shelf."""
 
+SERVO_ERROR = 0.0375
+"""Error at which servos without a limit of their own exert their largest force, radians: 150 and 38 N m for a UR5e; its
+data sheet says 150 and 28. Without any limit an arm presses what does not move with kilonewtons."""
+
 _PARKED_HEIGHT = 40.0
 
 
@@ -79,7 +83,11 @@ class Layout:
         return self.trusses * self.fruit
 
     def add(self, spec: mujoco.MjSpec) -> None:
-        """Add empty slots, the crate and the suction weld to a scene with an arm."""
+        """Add empty slots, the crate and the suction weld to a scene with an arm, and limit the force of its servos."""
+        for servo in spec.actuators:
+            if not np.any(servo.forcerange):
+                force = SERVO_ERROR * float(servo.gainprm[0])
+                servo.forcelimited, servo.forcerange = True, [-force, force]
         world = spec.worldbody
         for i in range(self.trusses):
             truss = _hinged(world, f"truss_{i}", i, RACHIS + 2 * ATTACHED)

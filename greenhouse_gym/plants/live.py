@@ -21,6 +21,7 @@ from greenhouse_gym.plants.detachment import (
     weld,
 )
 from greenhouse_gym.plants.layout import CRATE_BOXES, Crate, Layout
+from greenhouse_gym.plants.mechanics import GRAVITY
 from greenhouse_gym.plants.slots import Planted
 
 EMPTY, HANGING, LOOSE, CRATED, LOST = -1, 0, 1, 2, 3
@@ -166,12 +167,20 @@ class LivePlants:
         """Return the middle (3,) of a fruit that is not at rest, metres."""
         return self.data.geom_xpos[first_geom(self.model, self.body_of(fruit))].copy()
 
+    def joint_of(self, fruit: int) -> Array:
+        """Return the start (3,) of the pedicel of a fruit on its rachis, metres."""
+        return self.data.xpos[self._bodies[fruit]].copy()
+
     def radius(self, fruit: int) -> float:
         """Return the radius of the sphere of the same volume as a fruit, metres."""
         geom = first_geom(self.model, int(self._bodies[fruit]))
         size = self.model.geom_size[geom]
         ellipsoid = self.model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_ELLIPSOID
         return float(np.cbrt(size.prod()) if ellipsoid else size[0])
+
+    def weight(self, fruit: int) -> Array:
+        """Return the weight (3,) of a fruit that is not at rest, N."""
+        return np.array([0.0, 0.0, -GRAVITY * self.model.body_mass[self.body_of(fruit)]])
 
     def in_work(self, tip: Array) -> int:
         """Return the held fruit, or the fruit to be picked that hangs nearest to the tip (3,); -1 without one."""
@@ -265,6 +274,11 @@ class LivePlants:
                     park(model, data, body)
                 self._loose_of[slot], self._still[slot] = -1, 0
         return crated, dropped
+
+    def above_crate(self, local: Array) -> Array:
+        """Return a point (3,) in the scene that is given from the middle of the crate's bottom, metres."""
+        crate = self._ids.crate
+        return np.asarray(self.data.xpos[crate] + self.data.xmat[crate].reshape(3, 3) @ local)
 
     def _in_crate(self, point: Array) -> bool:
         crate, half = self._ids.crate, np.array(self._layout.crate.half_extents)

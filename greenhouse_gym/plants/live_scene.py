@@ -10,6 +10,8 @@ from greenhouse_gym.geometry import Array, Box, pose, transformed
 from greenhouse_gym.plants.live import HANGING, LivePlants
 from greenhouse_gym.scene import CompiledScene, Scene
 
+_AT_REST = 2e-4  # metres and radians by which an organ may have moved and still be where it was scanned
+
 
 class LiveScene(NamedTuple):
     """A scene as its plants hang now.
@@ -40,6 +42,8 @@ def live_scene(plants: LivePlants, compiled: CompiledScene, leaves: bool, around
 
     def move(rows: Any, body: int, origin: Array) -> None:
         moved = pose(data.xmat[body].reshape(3, 3), data.xpos[body]) @ pose(np.eye(3), -origin)
+        if np.abs(moved - np.eye(4)).max() < _AT_REST:
+            return
         for row in rows:
             shapes[row] = _moved(shapes[row], moved)
 

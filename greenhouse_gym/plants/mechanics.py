@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import NamedTuple
 
 import mujoco
@@ -63,6 +63,17 @@ class PlantMechanics:
             if not (is_number(value) and value > 0):
                 raise InvalidValueError(f"PlantMechanics.{field.name} must be a positive number, got {value!r}")
 
+    def scaled(self, factors: Array) -> PlantMechanics:
+        """Return mechanics whose `VARYING` values are multiplied by factors (k,)."""
+        changed = {name: float(getattr(self, name) * f) for name, f in zip(VARYING, factors, strict=True) if f != 1}
+        return replace(self, **changed) if changed else self
+
+
+VARYING = (
+    "density", "leaf_mass", "truss_stiffness", "leaf_stiffness", "pedicel_stiffness", "damping_ratio", "pull_limit",
+    "bend_limit",
+)  # fmt: skip
+"""Parameters that differ between plants."""
 
 HINGE_ARMATURE, BALL_ARMATURE = 3e-4, 3e-5
 """Minimum inertia about a hinge of a truss or leaf, and about a pedicel, kg m^2; less is unstable at 10 ms."""

@@ -17,6 +17,7 @@ from greenhouse_gym.plants.layout import (
     ARM,
     ATTACHED,
     CUP,
+    LOOSE,
     PEDICEL,
     PETIOLE,
     PLATES,
@@ -202,6 +203,7 @@ class _Filler:
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_comVel(model, data)
+        self._part_overlaps(data, ids)
         bias = np.zeros(model.nv)
         mujoco.mj_rne(model, data, 0, bias)
         for body in (*ids.truss, *ids.fruit.ravel(), *ids.leaf):
@@ -225,6 +227,18 @@ class _Filler:
                     mujoco.mju_axisAngle2Quat(model.qpos_spring[qpos : qpos + 4], axis, angle)
                 else:
                     model.qpos_spring[qpos] = torque[0] / stiffness
+
+    def _part_overlaps(self, data: mujoco.MjData, ids: SlotIds) -> None:
+        """Let loose fruit pass the static shapes that fruit overlap where they were scanned, which would eject them."""
+        model = self._model
+        static = self._first + np.arange(len(self._arrays.kinds))
+        static = static[(model.geom_conaffinity[static] & LOOSE) > 0]
+        for body in ids.fruit.ravel():
+            fruit = int(model.body_geomadr[body])
+            apart = np.linalg.norm(data.geom_xpos[static] - data.geom_xpos[fruit], axis=1)
+            for geom in static[apart < model.geom_rbound[static] + model.geom_rbound[fruit]]:
+                if mujoco.mj_geomDistance(model, data, fruit, int(geom), 0.0, None) < 0:
+                    model.geom_conaffinity[geom] &= ~LOOSE
 
     def _hinges(self, body: int, branch: Branch, stiffness: float) -> None:
         """Place a body at the root of an organ that droops and swings about it."""

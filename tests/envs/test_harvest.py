@@ -10,6 +10,7 @@ from gymnasium.utils.env_checker import check_env
 
 from greenhouse_gym.agents import Problem
 from greenhouse_gym.agents.harvester import OracleHarvester
+from greenhouse_gym.agents.rehearsal import Rehearsal
 from greenhouse_gym.envs import make_env, make_vec_env
 from greenhouse_gym.envs.tasks.harvest import COUNTED, SIZES, TomatoHarvest, ripe_targets
 from greenhouse_gym.errors import InvalidValueError
@@ -66,6 +67,20 @@ def test_an_oracle_picks_a_fruit_into_the_crate(env):
     assert info["is_success"]
     assert (info["detached"], info["crated"], info["dropped"], info["knocked"]) == (1, 1, 0, 0)
     assert rewards.sum() > 10
+
+
+def test_the_simulation_repeats_a_rehearsal_bit_for_bit(env):
+    env.reset(seed=0)
+    problem = Problem.of(env.simulation, 0, 0, OracleHarvester())
+    trial = Rehearsal(problem)
+    rng = np.random.default_rng(0)
+    for _ in range(15):
+        trial.step(rng.uniform(-0.1, 0.1, 6), True)
+        trial.twin().step(np.full(6, 0.08), True)  # goes its own way
+    for action in trial.actions:
+        env.step(action)
+    np.testing.assert_array_equal(env.simulation.command[0], trial.command)
+    np.testing.assert_array_equal(env.simulation.live(0).data.qpos, trial.plants.data.qpos)
 
 
 def test_same_seed_gives_the_same_episode(env):

@@ -246,7 +246,7 @@ def test_models_that_a_policy_file_cannot_hold_are_named(bank: SceneBank, tmp_pa
     env = make_sb3_vec_env(2, bank=bank, seed=0)
     on_images = make_sb3_vec_env(2, bank=bank, seed=0, observation="points")
     for model, told in (
-        (SAC("MlpPolicy", env, policy_kwargs={"net_arch": [8]}), "got SAC on a Box space"),
+        (SAC("MlpPolicy", env, buffer_size=10, policy_kwargs={"net_arch": [8]}), "got SAC on a Box space"),
         (PPO("MultiInputPolicy", on_images, policy_kwargs={"net_arch": [8]}), "got PPO on a Dict space"),
         (PPO("MlpPolicy", env, policy_kwargs={"net_arch": [8], "activation_fn": torch.nn.SiLU}), "PPO with SiLU"),
     ):

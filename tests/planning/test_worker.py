@@ -79,6 +79,7 @@ def test_what_fails_in_one_process_is_tried_in_another_next_time(worker: Worker)
 
 
 def test_killed_from_outside_while_planning(scene: Scene) -> None:
+    plan(scene, 0, planner="SBL")  # kernels are compiled from here on
     shared_worker().call("sleep", 0.0, 30.0)
     pid = shared_worker().pid
     assert pid is not None
@@ -167,7 +168,7 @@ print(result.status, shared_worker().pid)
 """
 
 
-@pytest.mark.parametrize("how", ["-c", "script", "stdin"])
+@pytest.mark.parametrize("how", ["-c", *(pytest.param(how, marks=pytest.mark.slow) for how in ("script", "stdin"))])
 def test_an_interpreter_exits_cleanly_after_planning(scene: Scene, tmp_path: Path, how: str) -> None:
     file = scene.save(tmp_path / "scene.json")
     script = tmp_path / "script.py"

@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 
 from greenhouse_gym.envs import make_env
+from greenhouse_gym.envs.randomization import Randomization
 from greenhouse_gym.envs.stepping import drive_and_record
+from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Box, Capsule, Ellipsoid, Sphere, arrays_of
-from greenhouse_gym.plants.detachment import load_of
-from greenhouse_gym.plants.layout import Layout
-from greenhouse_gym.plants.mechanics import GRAVITY, HINGE_ARMATURE, PlantMechanics, mass_properties
+from greenhouse_gym.plants.detachment import detach, load_of, weld
+from greenhouse_gym.plants.layout import LOOSE, Layout
+from greenhouse_gym.plants.mechanics import GRAVITY, HINGE_ARMATURE, VARYING, PlantMechanics, mass_properties
 from greenhouse_gym.plants.slots import merged, plant
 from greenhouse_gym.plants.topology import topology_of
 from greenhouse_gym.scene import SceneBank, compile_scene
@@ -157,6 +159,55 @@ def test_pull_and_bend_add_up():
     assert load(mechanics.pull_limit, 0.0) == pytest.approx(1)
     assert load(0.0, mechanics.bend_limit) == pytest.approx(1)
     assert load(mechanics.pull_limit / 2, mechanics.bend_limit / 2) == pytest.approx(1)
+
+
+def test_randomization_draws_mechanics():
+    options = {"bank": "mini", "task": "harvest", "plants": "compliant", "physics": "truth", "scene": SCENE}
+    env = make_env(**options, randomization=Randomization(mechanics=0.3))
+    drawn = []
+    for seed in (0, 1, 0):
+        env.reset(seed=seed)
+        drawn.append(env.simulation.live(0).plants.planted.mechanics)
+    assert drawn[0] == drawn[2] != drawn[1]
+    factors = [getattr(drawn[0], name) / getattr(PlantMechanics(), name) for name in VARYING]
+    assert len(set(factors)) == len(VARYING)
+    assert 0.7 <= min(factors) < 1 < max(factors) <= 1.3
+    with pytest.raises(InvalidValueError, match="mechanics must be below 1"):
+        Randomization(mechanics=1.0)
+
+
+def test_an_arm_presses_a_stem_with_no_more_than_its_servos_force():
+    model = copy.copy(planted()[0])
+    assert model.actuator_forcerange[:, 1].tolist() == [150, 150, 150, 37.5, 37.5, 37.5]
+    data = mujoco.MjData(model)
+    data.act[:] = 1.5  # far inside floor and gutter
+    mujoco.mj_step(model, data, 100)
+    assert (np.abs(data.actuator_force) <= model.actuator_forcerange[:, 1]).all()
+    assert np.abs(data.actuator_force).max() == pytest.approx(150)
+
+
+def test_fruit_that_comes_off_meanwhile_leaves_the_weld_of_a_held_one(model, ids):
+    data, scratch = mujoco.MjData(model), mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    held, other = (int(body) for body in ids.fruit[0, :2])
+    first, second = (int(body) for body in ids.loose[:2])
+    detach(model, data, scratch, held, first, 950.0)
+    mujoco.mj_forward(model, data)
+    weld(model, data, ids, first)
+    rule = model.eq_data[ids.weld].copy()
+    detach(model, data, scratch, other, second, 950.0)
+    np.testing.assert_array_equal(model.eq_data[ids.weld], rule)
+
+
+def test_loose_fruit_pass_the_static_stems_that_they_overlap(model, ids):
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    world = np.arange(model.body_geomadr[0], model.body_geomadr[0] + model.body_geomnum[0])
+    stopping = world[(model.geom_conaffinity[world] & LOOSE) > 0]
+    assert len(stopping) > 10
+    for body in ids.fruit[0]:
+        fruit = int(model.body_geomadr[body])
+        assert all(mujoco.mj_geomDistance(model, data, fruit, int(geom), 0.01, None) >= 0 for geom in stopping)
 
 
 def shove(scene, seconds, seed):

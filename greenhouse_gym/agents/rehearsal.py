@@ -1,0 +1,127 @@
+"""Rehearsals: copies of a harvest in which an oracle tries what it is going to do."""
+
+from __future__ import annotations
+
+import copy
+
+import numpy as np
+import numpy.typing as npt
+
+from greenhouse_gym.agents.agent import Problem
+from greenhouse_gym.envs.actions import CommandLimits
+from greenhouse_gym.envs.state import control_timing
+from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.geometry import Array
+from greenhouse_gym.plants.live import LOOSE, LivePlants
+from greenhouse_gym.plants.live_scene import LiveScene, live_scene
+from greenhouse_gym.robots.kinematics import Chain, tool_chain
+
+Action = npt.NDArray[np.float32]
+
+_DAMPING = 0.05  # metres per radian: of the inverse kinematics
+_ONE = np.array([0])
+
+
+class Rehearsal:
+    """Copy of a simulation in which actions are tried; the simulation itself repeats them bit for bit.
+
+    Args:
+        problem: The episode, of an agent with ``knows_truth``.
+
+    Attributes:
+        actions: Actions since the first copy was made.
+        harm: Number of organs that they damaged and fruit that they knocked off.
+        lost: Whether they dropped a fruit or ended the episode by a contact.
+
+    Raises:
+        InvalidValueError: The environment has no compliant plants.
+    """
+
+    def __init__(self, problem: Problem):
+        if problem.rehearsal is None:
+            raise InvalidValueError('only agents that know the truth of plants="compliant" can rehearse')
+        self._problem, self._physics = problem, problem.rehearsal()
+        self._limit = CommandLimits(problem.robot, problem.rule, control_timing(1 / problem.interval))
+        self.actions: list[Action] = []
+        self.harm, self.lost = 0, False
+        self._rehearsed = np.zeros((), dtype=np.int64)  # shared with twins
+        self._felt = self._physics.felt(_ONE)
+
+    def twin(self) -> Rehearsal:
+        """Return an independent copy in the same state."""
+        other = copy.copy(self)
+        other._physics, other.actions = copy.deepcopy(self._physics), list(self.actions)
+        return other
+
+    @property
+    def plants(self) -> LivePlants:
+        """The plants."""
+        return self._physics.simulation(0).plants
+
+    @property
+    def rehearsed(self) -> int:
+        """Number of actions tried by this one and its twins."""
+        return int(self._rehearsed)
+
+    @property
+    def interval(self) -> float:
+        """Seconds between two actions."""
+        return self._problem.interval
+
+    @property
+    def chain(self) -> Chain:
+        """Kinematic chain of the tool."""
+        compiled = self._physics.simulation(0).world.compiled
+        return tool_chain(compiled.model, compiled.tip_site)
+
+    def scene(self, leaves: bool, around_crate: float = 0.0) -> LiveScene:
+        """Return the true scene as it is now, see `greenhouse_gym.plants.live_scene.live_scene`."""
+        return live_scene(self.plants, self._physics.simulation(0).world.compiled, leaves, around_crate)
+
+    @property
+    def command(self) -> Array:
+        """(joints,) commanded joint positions, radians."""
+        return np.array(self._physics.command[0])
+
+    @property
+    def tip(self) -> tuple[Array, Array]:
+        """Position (3,) and direction (3,) of the tool in the scene."""
+        points, frames = self._physics.sites(_ONE)
+        return points[0, 0], frames[0][:, 2]
+
+    @property
+    def force(self) -> Array:
+        """Force (3,) of the held fruit on the cup beyond its weight in the last action, N, in the scene."""
+        plants = self.plants
+        return np.asarray(self._felt["force"][0]) - (plants.weight(plants.held) if plants.held >= 0 else 0.0)
+
+    def step(self, change: Array, vacuum: bool) -> None:
+        """Take the action that changes the commands by (joints,) as far as an action can."""
+        steps = self._problem.joint_steps
+        arm = np.clip(change / steps, -1, 1).astype(np.float32)
+        action = np.append(arm, np.float32(1 if vacuum else -1))
+        self.actions.append(action)
+        command = self._limit(self._physics.command, steps * arm[None].astype(np.float64), self._physics.qpos)
+        contacts = self._physics.advance(command.position, np.array([vacuum]))
+        felt = self._felt = self._physics.felt(_ONE)
+        self._rehearsed += 1
+        self.harm += int(felt["damaged"][0] + felt["knocked"][0])
+        self.lost |= bool(felt["dropped"][0]) or bool(contacts.collided[0])
+
+    def twist(self, velocity: Array, spin: Array, vacuum: bool) -> None:
+        """Move the tip at a velocity (3,), m/s, and turn it, (3,) rad/s, in the scene, for one action."""
+        data, joints = self._physics.simulation(0).data, len(self._problem.robot.joints)
+        axes, anchors = data.xaxis[:joints], data.xanchor[:joints]
+        sliding = self._problem.robot.sliding[:, None]
+        linear = np.where(sliding, axes, np.cross(axes, self.tip[0] - anchors))
+        jacobian = np.concatenate([linear, np.where(sliding, 0.0, axes)], axis=1).T
+        wanted = np.concatenate([velocity, spin]) * self._problem.interval
+        change = jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + _DAMPING**2 * np.eye(6), wanted)
+        self.step(change / max(1.0, float((np.abs(change) / self._problem.joint_steps).max())), vacuum)
+
+    def wait(self, fruit: int, actions: int) -> None:
+        """Hold still until a fruit has come to rest, for a number of actions at most."""
+        for _ in range(actions):
+            if self.plants.state[fruit] != LOOSE:
+                return
+            self.step(np.zeros(len(self._problem.robot.joints)), False)
