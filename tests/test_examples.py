@@ -79,7 +79,7 @@ def test_own_learner_prints_its_rate(capsys: pytest.CaptureFixture[str]) -> None
 
 
 @pytest.mark.parametrize("name", MAIN)
-def test_planner_rig_and_robot_run(name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_example_scripts_run(name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr("sys.argv", [name])
     registered = dict(_ALL.registered)
     try:
