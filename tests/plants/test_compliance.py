@@ -81,9 +81,10 @@ def test_mass_properties_equal_those_of_the_compiler():
     np.testing.assert_allclose(np.sort(found.inertia), np.sort(expected.body_inertia[1]))
 
 
-def test_merged_plates_cover_those_of_the_leaf():
+def test_merged_plates_span_those_of_the_leaf_and_are_as_thin():
     rng = np.random.default_rng(0)
-    boxes = arrays_of([Box(rng.normal(size=3) * 0.1, np.array([0.02, 0.01, 0.001]), np.eye(3)) for _ in range(40)])
+    centers = [np.append(rng.uniform(-0.2, 0.2, 2), 0.0) for _ in range(40)]
+    boxes = arrays_of([Box(center, np.array([0.02, 0.01, 0.001]), np.eye(3)) for center in centers])
     few = merged(boxes, 5)
 
     def covers(k, center):
@@ -91,6 +92,8 @@ def test_merged_plates_cover_those_of_the_leaf():
 
     assert len(few.kinds) == 5
     assert all(any(covers(k, center) for k in range(5)) for center in boxes.starts)
+    curved = merged(boxes._replace(starts=boxes.starts + [0.0, 0.0, 2.0] * boxes.starts[:, :1] ** 2), 5)
+    assert curved.sizes.min(axis=1).max() <= 0.004
 
 
 def test_plants_rest_where_they_were_scanned(model):
