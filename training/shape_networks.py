@@ -26,7 +26,6 @@ from greenhouse_gym.accuracy import Visibility, compare_stems
 from greenhouse_gym.crops.parts import Stem, Tomato
 from greenhouse_gym.geometry import Array, Capsule, distance_to_shapes
 from greenhouse_gym.shapes import ShapeSettings, extract_shapes
-from greenhouse_gym.shapes.extract import MIN_BARE_PEDUNCLE, MIN_PEDUNCLE
 from greenhouse_gym.shapes.fruit import shell_features
 from greenhouse_gym.shapes.fruit.classifiers import SphereClassifiers, logistic
 from greenhouse_gym.shapes.fruit.context_features import CONTEXT_FEATURES
@@ -35,10 +34,9 @@ from greenhouse_gym.shapes.fruit.small_fruit import SmallSpheres, confident_smal
 from greenhouse_gym.shapes.fruit.sphere_features import SPHERE_FEATURES
 from greenhouse_gym.shapes.networks import Network
 from greenhouse_gym.shapes.stems import peduncle_features
-from greenhouse_gym.shapes.stems.bare_peduncles import find_bare_peduncles
 from greenhouse_gym.shapes.stems.peduncle_classifier import with_context
 from greenhouse_gym.shapes.stems.peduncle_features import PeduncleCandidates, peduncle_candidates
-from greenhouse_gym.shapes.stems.peduncles import find_peduncles
+from greenhouse_gym.shapes.stems.traced_peduncles import trace_peduncles
 from training.fitting import (
     FOLDS,
     Labeled,
@@ -209,9 +207,8 @@ def measure_peduncles(example: PeduncleExample, networks: tuple[Network, Network
     """Measure peduncles and pedicels, metres: visible, found of these, false."""
     first, second = networks
     candidates, tolerance = example.candidates, SETTINGS.axis_tolerance
-    scores, nodes = second(with_context(candidates, first(candidates.features))), candidates.nodes
-    stems = find_peduncles(nodes[scores > MIN_PEDUNCLE], example.tomatoes, example.main, tolerance)
-    stems += find_bare_peduncles(nodes[scores > MIN_BARE_PEDUNCLE], [*example.main, *stems], tolerance)
+    scores = second(with_context(candidates, first(candidates.features)))
+    stems = trace_peduncles(candidates.nodes, scores, example.tomatoes, example.main, tolerance)
     sums = [compare_stems(example.true, example.visible, example.petioles, stems, kind) for kind in HANGING]
     return np.sum([[s.visible, s.found, s.false] for s in sums], axis=0)
 

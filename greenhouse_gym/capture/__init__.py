@@ -9,6 +9,7 @@ from greenhouse_gym.capture.recordings import Recording, write_recording
 from greenhouse_gym.capture.rig import D435_DEPTH, SEED_RIG, Camera, Intrinsics, Rig, three_camera_rig
 from greenhouse_gym.capture.sensor import StereoDropout, StereoNoise, sense_depth
 from greenhouse_gym.capture.simulated import CaptureSettings, simulate_recording
+from greenhouse_gym.capture.time_of_flight import TimeOfFlightNoise, sense_time_of_flight
 
 __all__ = [
     "D435_DEPTH",
@@ -26,11 +27,13 @@ __all__ = [
     "Station",
     "StereoDropout",
     "StereoNoise",
+    "TimeOfFlightNoise",
     "get_protocol",
     "join_passes",
     "open_recording",
     "recording_formats",
     "sense_depth",
+    "sense_time_of_flight",
     "simulate_protocol",
     "simulate_recording",
     "single_camera",

@@ -81,9 +81,9 @@ def mix_edges(depth: npt.NDArray[np.floating], rng: np.random.Generator, fractio
     return mixed
 
 
-def draw_biases(count: int, rng: np.random.Generator, noise: StereoNoise) -> Array:
-    """Sample the relative depth error of each of ``count`` cameras, (count,), normal with sigma ``noise.bias``."""
-    return rng.normal(0.0, noise.bias, count)
+def draw_biases(count: int, rng: np.random.Generator, sigma: float) -> Array:
+    """Sample the relative depth error of each of ``count`` cameras, (count,), normal with a given sigma."""
+    return rng.normal(0.0, sigma, count)
 
 
 def sense_depth(
@@ -115,7 +115,7 @@ def sense_depth(
     valid &= ~_hidden_from_right_imager(disparity)
     edges = _near_edge(disparity)
     valid &= rng.random(depth.shape) >= np.maximum(np.where(edges, noise.edge_dropout, noise.dropout), dropout)
-    disparity = disparity + _smooth_noise(rng, depth.shape) * noise.disparity_noise
+    disparity = disparity + smooth_noise(rng, depth.shape) * noise.disparity_noise
     if noise.disparity_step > 0:
         disparity = np.rint(disparity / noise.disparity_step) * noise.disparity_step
     valid &= disparity > 0
@@ -169,7 +169,7 @@ def _thin(disparity: Array, width: int) -> npt.NDArray[np.bool_]:
     return thin
 
 
-def _smooth_noise(rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
+def smooth_noise(rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
     """Sample unit normal noise that is correlated between neighbors, as block matching makes it."""
     white = rng.standard_normal((shape[0] + 2, shape[1] + 2))
     rows = white[:-2] + white[1:-1] + white[2:]

@@ -23,6 +23,7 @@ from greenhouse_gym.capture.sensor import (
     mix_edges,
     sense_depth,
 )
+from greenhouse_gym.capture.time_of_flight import TimeOfFlightNoise, sense_time_of_flight
 from greenhouse_gym.crops import PlantRow
 from greenhouse_gym.errors import check_whole, require_seed
 from greenhouse_gym.geometry import Array, pose, rotation_about
@@ -40,8 +41,8 @@ class CaptureSettings:
     camera_offset: float = 0.0  # m, along each axis, of the cameras from where the rig has them
     camera_angle: float = 0.0  # rad about each axis, of all cameras except the reference camera
     color_noise: float = 2.5  # gray levels, one sigma
-    noise: StereoNoise = field(default_factory=StereoNoise)
-    dropout: StereoDropout = field(default_factory=StereoDropout)  # on rows of organ meshes only
+    noise: StereoNoise | TimeOfFlightNoise = field(default_factory=StereoNoise)
+    dropout: StereoDropout = field(default_factory=StereoDropout)  # of stereo, on rows of organ meshes only
 
 
 def simulate_recording(
@@ -102,7 +103,7 @@ class _SimulatedStations:
 
     def __call__(self, i: int) -> Station:
         seed, number = self.seed, (self.pass_number,) if self.pass_number else ()
-        biases = draw_biases(len(self.rig.cameras), np.random.default_rng([seed, 1]), self.settings.noise)
+        biases = draw_biases(len(self.rig.cameras), np.random.default_rng([seed, 1]), self.settings.noise.bias)
         frames = {}
         for k, (name, camera) in enumerate(perturbed_rig(self.rig, seed, self.settings).cameras.items()):
             rng = np.random.default_rng([seed, 2, i, k, *number])
@@ -120,6 +121,8 @@ def _sense(
     view: View, fx: float, rng: np.random.Generator, mixing: np.random.Generator, settings: CaptureSettings, bias: float
 ) -> npt.NDArray[np.float32]:
     """Return the depth that a camera reports of a view; ``mixing`` is the source of mixed edges on organ meshes."""
+    if isinstance(settings.noise, TimeOfFlightNoise):
+        return sense_time_of_flight(view.depth, view.color, rng, settings.noise, bias)
     if view.glare is None:
         return sense_depth(view.depth, fx, rng, settings.noise, bias)
     true = mix_edges(view.depth, mixing, settings.dropout.mixed)

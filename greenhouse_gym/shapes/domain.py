@@ -2,10 +2,20 @@
 
 from __future__ import annotations
 
-from greenhouse_gym.shapes.surface_cloud import SurfaceCloud
+from greenhouse_gym.shapes.surface_cloud import NO_LEAF, SurfaceCloud
 
-_MIN_COHERENCE = 0.91
-"""Least `SurfaceCloud.coherence`; rows that the networks were fitted to have 0.94 to 0.99."""
+_MIN_COHERENCE, _MIN_LEAFLESS_COHERENCE = 0.85, 0.93
+"""Least `SurfaceCloud.coherence` with and without leaves whose color is known.
+
+Thirds of the rows that the networks were fitted to have 0.90 to 0.98, whole ones 0.94 to 0.99; a real frame of an apple
+tree, whose flat surfaces have the colors of bark, sky and leaves, has 0.89.
+"""
+
+_MAX_HUE_SPREAD = 0.05
+"""Largest `SurfaceCloud.leaf_hue_spread` of leaves; rows that the networks were fitted to have 0.01 to 0.04."""
+
+_MAX_NOISE = 0.0021
+"""Largest `SurfaceCloud.noise`, m; rows that the networks were fitted to have 0.0013 to 0.0017."""
 
 _MIN_DENSITY = 10.0
 """Least `SurfaceCloud.density`; rows that the networks were fitted to have 20 to 24."""
@@ -18,8 +28,12 @@ def outside_domain(surface: SurfaceCloud) -> str:
     """Return a phrase on the property in which a cloud differs from those the networks were fitted to, or ""."""
     if len(surface) < _MIN_POINTS:
         return ""
-    if surface.coherence < _MIN_COHERENCE:
-        return f"its normals vary too much within a centimetre (mean length {surface.coherence:.2f}, not 0.94 or more)"
+    leafless = surface.leaf_hue == NO_LEAF or surface.leaf_hue_spread > _MAX_HUE_SPREAD
+    if surface.coherence < (_MIN_LEAFLESS_COHERENCE if leafless else _MIN_COHERENCE):
+        color = ", and its flat surfaces do not have the color of leaves" if leafless else ""
+        return f"its normals vary too much within a centimetre (mean length {surface.coherence:.2f}, not 0.94){color}"
+    if surface.noise > _MAX_NOISE:
+        return f"its points scatter by {1e3 * surface.noise:.1f} mm about its surfaces, not by 1.3 to 1.7 mm"
     if surface.density < _MIN_DENSITY:
         return f"its points are too sparse (about {surface.density:.0f} patches of 5 mm within 11 mm, not 20 or more)"
     return ""

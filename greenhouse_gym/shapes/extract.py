@@ -9,31 +9,30 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.crops.parts import Stem, Tomato
-from greenhouse_gym.geometry import Box, Shape
+from greenhouse_gym.geometry import Box, Shape, Sphere
 from greenhouse_gym.geometry.point_clouds import Cloud
 from greenhouse_gym.shapes.clutter.boxes import box_budget, cover_with_boxes
 from greenhouse_gym.shapes.colors import colorful_mask, redness
 from greenhouse_gym.shapes.domain import outside_domain
 from greenhouse_gym.shapes.evidence import SHELL, Evidence, nearest_shapes
 from greenhouse_gym.shapes.fruit.detection import find_red_tomatoes, find_tomatoes
+from greenhouse_gym.shapes.fruit.flowers import find_flowers
 from greenhouse_gym.shapes.fruit.skin import noisy_skin_mask, skin_mask
 from greenhouse_gym.shapes.input_checks import WarningLog, downsample, validated_cloud
+from greenhouse_gym.shapes.normal_estimation import mend_normals
 from greenhouse_gym.shapes.settings import ShapeSettings
-from greenhouse_gym.shapes.stems.bare_peduncles import find_bare_peduncles
 from greenhouse_gym.shapes.stems.main_stems import find_main_stems, find_strings
 from greenhouse_gym.shapes.stems.peduncle_classifier import peduncle_probability
-from greenhouse_gym.shapes.stems.peduncle_features import STEM_MARGIN, PeduncleCandidates, peduncle_candidates
-from greenhouse_gym.shapes.stems.peduncles import find_peduncles
+from greenhouse_gym.shapes.stems.peduncle_features import STEM_MARGIN, peduncle_candidates
 from greenhouse_gym.shapes.stems.pipes import find_pipes
+from greenhouse_gym.shapes.stems.traced_peduncles import trace_peduncles
 from greenhouse_gym.shapes.surface_cloud import SurfaceCloud, fine_surface, measure_surface, pipe_mask, stem_mask
 
 EXPLAINED = 0.008
 """Distance in metres from a shape within which a point is evidence for it."""
 
-MIN_PEDUNCLE, MIN_BARE_PEDUNCLE = 0.2, 0.5
-"""Probability of points through which peduncles with and without detected fruit are traced."""
-
 _WITHOUT_NETWORKS = "only red fruit is reported, found by its outline, and no peduncles or pedicels"
+_MIN_ALIGNMENT = 0.98  # cosine; development rows have 0.991 to 0.997, normals turned by 12 to 50 degrees 0.84 to 0.96
 _MIN_LYING = 0.5  # metres of main stems that show that a cloud lies on its side
 
 
@@ -46,6 +45,7 @@ class RowShapes:
         stems: Main stems, peduncles, pedicels, strings and pipes.
         clutter: Boxes around everything else.
         confidence: Confidence of each tomato, 0 to 1.
+        flowers: A ball around each flower, which is no obstacle of its own: boxes of the clutter cover its petals.
         evidence: The shape nearest to each point of the cloud, indexed through tomatoes, stems and clutter.
         warnings: Problems that a user should check; each is also raised as a `ShapeWarning`.
     """
@@ -54,6 +54,7 @@ class RowShapes:
     stems: tuple[Stem, ...] = ()
     clutter: tuple[Box, ...] = ()
     confidence: tuple[float, ...] = ()
+    flowers: tuple[Sphere, ...] = ()
     evidence: Evidence = field(default_factory=lambda: nearest_shapes(np.zeros((0, 3)), (), 0.0))
     warnings: tuple[str, ...] = ()
 
@@ -91,6 +92,11 @@ def extract_shapes(
     if not len(thin):
         return RowShapes(evidence=nearest_shapes(whole.points, (), 0.0), warnings=tuple(log.messages))
     cloud = measure_surface(thin)
+    if normals is not None and cloud.alignment < _MIN_ALIGNMENT:
+        angle = np.degrees(np.arccos(cloud.alignment))
+        log.warn(f"the normals of flat surfaces are off by {angle:.0f} degrees; they were estimated instead")
+        whole, thin = mend_normals(whole, thin)
+        cloud = measure_surface(thin)
     pipes = find_pipes(cloud.select(pipe_mask(cloud)), settings.pipe_radii)
     surface = _without(cloud, pipes, SHELL)
     unlike = outside_domain(cloud)
@@ -107,24 +113,20 @@ def extract_shapes(
     if not main:
         _warn_if_lying(woody, settings, log)
     upright = [*main, *find_strings(pale.points, pale.normals, settings)]
-    peduncles = [] if unlike else _peduncles(peduncle_candidates(surface, tomatoes, main), tomatoes, main, settings)
+    peduncles: list[Stem] = []
+    flowers: tuple[Sphere, ...] = ()
+    if not unlike:
+        flowers = find_flowers(surface, fruits)
+        candidates = peduncle_candidates(surface, tomatoes, main)
+        probability = peduncle_probability(candidates)
+        peduncles = trace_peduncles(candidates.nodes, probability, tomatoes, main, settings.axis_tolerance)
     stems = (*upright, *peduncles, *pipes)
     cloud = _without(_without(cloud, upright, STEM_MARGIN), peduncles, SHELL)
     cloud = cloud.select(~noisy_skin_mask(cloud.points, cloud.normals, tomatoes))
     skin = surface.points[skin_mask(surface.points, tomatoes)]
     clutter = tuple(cover_with_boxes(cloud.points, cloud.normals, box_budget(cloud.points, settings), settings, skin))
     evidence = nearest_shapes(whole.points, (*fruits, *stems, *clutter), EXPLAINED)
-    return RowShapes(tomatoes, stems, clutter, confidence, evidence, tuple(log.messages))
-
-
-def _peduncles(
-    candidates: PeduncleCandidates, tomatoes: tuple[Tomato, ...], main: list[Stem], settings: ShapeSettings
-) -> list[Stem]:
-    """Trace the peduncles and pedicels of detected fruit, then peduncles without detected fruit."""
-    probability, nodes = peduncle_probability(candidates), candidates.nodes
-    found = find_peduncles(nodes[probability > MIN_PEDUNCLE], tomatoes, main, settings.axis_tolerance)
-    bare = nodes[probability > MIN_BARE_PEDUNCLE]
-    return found + find_bare_peduncles(bare, [*main, *found], settings.axis_tolerance)
+    return RowShapes(tomatoes, stems, clutter, confidence, flowers, evidence, tuple(log.messages))
 
 
 def _warn_if_lying(woody: Cloud, settings: ShapeSettings, log: WarningLog) -> None:

@@ -1,8 +1,11 @@
-"""Normals for a cloud that comes without them."""
+"""Normals for a cloud that comes without them, or with wrong ones."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+from scipy.spatial import cKDTree
 
 from greenhouse_gym.common.open3d_loader import open3d
 from greenhouse_gym.geometry import Array
@@ -23,13 +26,17 @@ _ROD_REACH = 0.030  # metres
 _ROD_ELONGATION = 4.0  # ratio of variances along and across a rod
 
 
-def estimate_normals(points: Array) -> Array:
-    """Estimate unit normals (n, 3) of points (n, 3), one per voxel, without knowing the viewpoint.
+def estimate_normals(points: Array, outward: Array | None = None) -> Array:
+    """Estimate unit normals (n, 3) of points (n, 3), one per voxel.
 
-    Fruit and stems bulge towards the viewer, so the bulging pieces together show from which side a cloud was seen, and
-    each piece weakly shows its own outer side; neighboring pieces are then smoothed. On rods such as stems, normals
-    are made perpendicular to the axis and point away from the local centroid, which is right for both one-sided and
-    all-round views.
+    Without ``outward``, the viewpoint is unknown. Fruit and stems bulge towards the viewer, so the bulging pieces
+    together show from which side a cloud was seen, and each piece weakly shows its own outer side; neighboring pieces
+    are then smoothed. On rods such as stems, normals are made perpendicular to the axis and point away from the local
+    centroid, which is right for both one-sided and all-round views.
+
+    Args:
+        points: (n, 3) metres.
+        outward: (n, 3) wrong normals that on average over a neighborhood still show the outer side, or None.
     """
     if len(points) < 3:
         return np.tile([-1.0, 0.0, 0.0], (len(points), 1))
@@ -37,7 +44,8 @@ def estimate_normals(points: Array) -> Array:
     cloud = to_open3d(bare)
     cloud.estimate_normals(open3d().geometry.KDTreeSearchParamHybrid(_REACH, _MAX_NEIGHBORS))
     normals = np.array(cloud.normals)
-    inwards = (_outward(bare) * normals).sum(axis=1) < 0
+    sides = _outward(bare) if outward is None else _smoothed(points, outward)
+    inwards = (sides * normals).sum(axis=1) < 0
     normals[inwards] *= -1.0
     cells, cell = voxel_means(bare, _ROD_CELL)
     near = Neighborhoods(cells.points, _ROD_REACH)
@@ -49,6 +57,13 @@ def estimate_normals(points: Array) -> Array:
     rods *= np.where((rods * out).sum(axis=1, keepdims=True) < 0, -1.0, 1.0)
     normals[on_rod] = rods / np.maximum(np.linalg.norm(rods, axis=1, keepdims=True), 1e-9)
     return normals
+
+
+def mend_normals(whole: Cloud, thin: Cloud) -> tuple[Cloud, Cloud]:
+    """Return a cloud and its points per voxel with normals estimated from these, on the side of the given ones."""
+    normals = estimate_normals(thin.points, thin.normals)
+    nearest = cKDTree(thin.points).query(whole.points)[1]
+    return replace(whole, normals=normals[nearest]), replace(thin, normals=normals)
 
 
 def _outward(bare: Cloud) -> Array:
@@ -65,3 +80,9 @@ def _outward(bare: Cloud) -> Array:
     for _ in range(_ROUNDS):
         out = near.mean(out)
     return np.asarray(out[cell])
+
+
+def _smoothed(points: Array, vectors: Array) -> Array:
+    """Return the means of vectors (n, 3) over the neighborhoods of points (n, 3)."""
+    cells, cell = voxel_means(Cloud(points, np.zeros_like(points), vectors), _PIECE)
+    return np.asarray(Neighborhoods(cells.points, _AROUND).mean(cells.normals)[cell])

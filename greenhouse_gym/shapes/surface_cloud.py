@@ -29,6 +29,7 @@ _CELL = 0.005  # metres: size of the surface pieces that are measured
 _REACH = 0.011  # metres: radius of the neighborhood of a piece
 _MIN_VARIANCE = 3e-6  # square metres, added to the extent of a piece so that a speck has no curvature
 _FLAT = 10.0  # 1/m: a piece is flat if both curvatures are smaller
+_THIN = 0.04  # ratio of the variances across and along a piece below which its plane shows its normal
 _FLATTEST = 0.1  # fraction of the pieces that are taken as flat whatever the noise
 _MIN_FLAT = 200  # flat pieces needed to estimate the color of leaves
 _MAX_HUE_SPREAD = 0.06  # of leaves: that between reflected and transmitted light
@@ -50,6 +51,7 @@ class SurfaceCloud(Cloud):
         leaf_hue_spread: Standard deviation of the leaves' redness, estimated from its quartiles.
         noise: Median over the cloud of the points' root mean square distance from a plane through a neighborhood, m.
         coherence: Median length of the mean of the unit normals in a neighborhood: 1 on a flat surface without noise.
+        alignment: Median cosine between the normals of flat pieces and those of the planes through their points.
         density: Median number of surface pieces in a neighborhood.
     """
 
@@ -60,6 +62,7 @@ class SurfaceCloud(Cloud):
     leaf_hue_spread: float
     noise: float = 0.0
     coherence: float = 1.0
+    alignment: float = 1.0
     density: float = np.inf
 
     def select(self, rows: npt.NDArray[np.generic]) -> SurfaceCloud:
@@ -80,7 +83,10 @@ def measure_surface(cloud: Cloud) -> SurfaceCloud:
     _, axes = np.linalg.eigh(near.moments(cells.normals, cells.normals))
     tangent = axes[:, :, :2]
     spread = near.covariances(cells.points, cells.points)
-    variances = np.linalg.eigvalsh(spread)
+    variances, own_axes = np.linalg.eigh(spread)
+    cosines = np.abs((own_axes[:, :, 0] * cells.normals).sum(axis=1))
+    cosines /= np.maximum(np.linalg.norm(cells.normals, axis=1), 1e-9)
+    thin = variances[:, 0] < _THIN * variances[:, 1]
     extent = _project(tangent, spread) + _MIN_VARIANCE * np.eye(2)
     operator = np.linalg.solve(extent, _project(tangent, near.covariances(cells.points, cells.normals)))
     symmetric = (operator + operator.transpose(0, 2, 1)) / 2
@@ -99,6 +105,7 @@ def measure_surface(cloud: Cloud) -> SurfaceCloud:
         *_leaf_hue(hues[flat]),
         noise=float(np.median(np.sqrt(np.maximum(variances[:, 0], 0.0)))),
         coherence=float(np.median(np.linalg.norm(near.mean(cells.normals), axis=1))),
+        alignment=float(np.median(cosines[thin])) if thin.any() else 1.0,
         density=float(np.median(near.count)),
     )
 

@@ -70,10 +70,10 @@ def test_a_bias_scales_the_depth() -> None:
     plain, biased = sense(wall(0.5), SILENT), sense(wall(0.5), SILENT, bias=0.01)
     assert biased.max() == pytest.approx(0.505, abs=1e-6)
     np.testing.assert_array_equal(plain > 0, biased > 0)
-    drawn = draw_biases(4000, np.random.default_rng(0), StereoNoise())
+    drawn = draw_biases(4000, np.random.default_rng(0), StereoNoise().bias)
     assert drawn.std() == pytest.approx(0.002, rel=0.05)
     assert abs(drawn.mean()) < 2e-4
-    assert not draw_biases(3, np.random.default_rng(0), SILENT).any()
+    assert not draw_biases(3, np.random.default_rng(0), SILENT.bias).any()
 
 
 def test_what_the_right_imager_does_not_see_is_missing_left_of_near_things() -> None:

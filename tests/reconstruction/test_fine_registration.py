@@ -146,7 +146,7 @@ def test_biases_of_the_cameras_are_found() -> None:
     noise = StereoNoise(bias=0.01)
     row = grow_row(5, 0.4)
     recording = simulate_recording(row, seed=5, stations=3, settings=CaptureSettings(noise=noise))
-    true = draw_biases(3, np.random.default_rng([5, 1]), noise)
+    true = draw_biases(3, np.random.default_rng([5, 1]), noise.bias)
     calibration, report = calibrate(recording, SETTINGS)
     found = np.array([*report.bias.values()])
     assert np.abs(found - true).max() < 0.0015  # the part that is common to all cameras as well

@@ -11,8 +11,9 @@ from shape_clouds import cylinder, half_sphere, plane, together
 
 from greenhouse_gym.crops import Palette
 from greenhouse_gym.geometry.point_clouds import Cloud, voxel_means
-from greenhouse_gym.shapes import ShapeSettings, extract_shapes
+from greenhouse_gym.shapes import ShapeSettings, ShapeWarning, extract_shapes
 from greenhouse_gym.shapes.colors import redness
+from greenhouse_gym.shapes.normal_estimation import mend_normals
 from greenhouse_gym.shapes.surface_cloud import (
     NO_LEAF,
     SurfaceCloud,
@@ -111,3 +112,22 @@ def test_curvatures_and_leaf_hue_of_a_cloud() -> None:
     assert of_stem[1] > 60
     assert np.abs(of_leaf).max() < 5
     assert cloud.leaf_hue == pytest.approx(-0.2, abs=0.01)
+
+
+@pytest.mark.parametrize("smooth", [False, True])
+def test_wrong_normals_are_replaced_by_those_of_the_points(smooth: bool) -> None:
+    rng = np.random.default_rng(5)
+    whole = ball_and_leaf()
+    axes = np.tile([0.0, 0.6, 0.8], (len(whole), 1)) if smooth else rng.normal(size=whole.points.shape)
+    angles = np.full(len(whole), np.deg2rad(30)) if smooth else rng.uniform(*np.deg2rad((12, 50)), len(whole))
+    across = np.cross(whole.normals, axes)
+    turned = whole.normals + np.tan(angles)[:, None] * across / np.linalg.norm(across, axis=1, keepdims=True)
+    turned /= np.linalg.norm(turned, axis=1, keepdims=True)
+    assert surface_of(whole).alignment > 0.99
+    assert surface_of(replace(whole, normals=turned)).alignment < 0.98
+    with pytest.warns(ShapeWarning, match="normals of flat surfaces are off by"):
+        found = extract_shapes(whole.points, whole.colors, turned)
+    assert len(found.tomatoes) == 1
+    assert found.tomatoes[0].radius == pytest.approx(0.02, abs=0.003)
+    mended = mend_normals(replace(whole, normals=turned), voxel_means(replace(whole, normals=turned), 0.003)[0])[0]
+    assert np.median((mended.normals * whole.normals).sum(axis=1)) > 0.98

@@ -29,6 +29,7 @@ _MIN_HALF_EXTENT = 0.0025  # metres: about the noise of the cloud
 _MAX_EMPTY = 0.15  # fraction of a box's surface that may be empty
 _EXCLUDED_WEIGHT = 2e-4  # square metres of empty surface that an excluded point in a box counts for
 _MIN_BUDGET = 10  # boxes that any cloud may have
+_MAX_MERGED_EMPTY = 0.5  # fraction of a box's surface: no budget justifies a box that is mostly empty
 _MAX_SPLIT = 3  # multiple of the budget up to which boxes are split before they are merged
 _NEIGHBORS = 6  # boxes among which merges are tried, itself counted
 _DEPTH, _MIN_INSIDE = 0.001, 3  # metres inside a box, and number, of excluded points that make it be cut
@@ -139,8 +140,10 @@ def _merge_pieces(cells: _Cells, pieces: Sequence[_Piece], budget: int, settings
     heap = [merged(i, j) for i in near for j in near[i] if i < j]
     heapq.heapify(heap)
     while heap and (len(alive) > budget or heap[0][0] < settings.clutter_merge_area):
-        _, i, j, union = heapq.heappop(heap)
+        added, i, j, union = heapq.heappop(heap)
         if i not in alive or j not in alive:
+            continue
+        if added >= settings.clutter_merge_area and union.empty_fraction > _MAX_MERGED_EMPTY:
             continue
         del alive[i], alive[j]
         new = len(near)

@@ -10,6 +10,7 @@ import numpy as np
 from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.geometry import Array, Ellipsoid, Sphere
 from greenhouse_gym.shapes.colors import redness
+from greenhouse_gym.shapes.fruit.flowers import flower_mask
 from greenhouse_gym.shapes.fruit.large_fruit import ScoredFruit, fit_candidates, large_fruit, row_order
 from greenhouse_gym.shapes.fruit.red_fruit import RedFruit, find_red, sits_on
 from greenhouse_gym.shapes.fruit.small_fruit import find_small
@@ -52,6 +53,8 @@ def find_tomatoes(surface: SurfaceCloud, fine: SurfaceCloud, settings: ShapeSett
     large = large_fruit(candidates, settings)
     small = find_small(fine, large, settings)
     fruits = [*_fruits(large, candidates.skin), *_fruits(small, fine)]
+    flowers = flower_mask([fruit.sphere for fruit in fruits], surface)
+    fruits = [fruit for fruit, flower in zip(fruits, flowers, strict=True) if not flower]
     missed = _red_fruits(surface, fruits, _CLEAR, settings)
     large_red = [fruit.sphere for fruit in missed]
     fruits = [*(fruit for fruit in fruits if not sits_on(fruit.sphere, large_red)), *missed]

@@ -39,6 +39,7 @@ _GREENER = 0.06  # points greener than the leaves by more, as (R - G) / (R + G),
 _MIN_SCORE, _MIN_VOTERS = 0.15, 6  # fraction of a half sphere's points, and number of points, that vote for a center
 _MAX_CELL = 0.004  # metres: side of the cells in which votes are counted
 _CONFIDENT = 0.7  # confidence above which small fruit is context for others
+_CLEAR = 0.8  # confidence of larger fruit that shows that a cloud without leaves is of a plant
 _MAX_EXPLAINED = 0.4  # fraction of a sphere's points that other fruit may explain
 
 
@@ -60,7 +61,7 @@ class SmallSpheres(NamedTuple):
 def find_small(
     fine: SurfaceCloud, found: ScoredFruit, settings: ShapeSettings, classifier: Classifier | None = None
 ) -> ScoredFruit:
-    """Find small fruit next to the fruit found before; none where the cloud has neither leaves nor larger fruit.
+    """Find small fruit next to the fruit found before; none where the cloud shows neither leaves nor clear fruit.
 
     Args:
         fine: A cloud with a point per voxel of ``settings.fine_voxel``.
@@ -71,7 +72,7 @@ def find_small(
     Returns:
         Spheres among the points of ``fine``.
     """
-    is_table = fine.leaf_hue == NO_LEAF and not found.fits  # other small round things lie on it
+    is_table = fine.leaf_hue == NO_LEAF and not (found.confidence >= _CLEAR).any()  # small round things lie on it
     if is_table or settings.small_radii is None or not len(fine):
         return ScoredFruit([], np.zeros(0), np.zeros(0))
     return select_small(small_spheres(fine, settings), found, settings, classifier or network("fruit/small_fruit"))

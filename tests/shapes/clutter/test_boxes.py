@@ -34,14 +34,23 @@ def test_boxes_keep_their_budget_and_cover_all_points(budget: int) -> None:
         assert distance_to_shapes(points, boxes).min(axis=1).max() < COVERED + CELL
 
 
+def test_no_budget_makes_boxes_that_are_mostly_empty() -> None:
+    rng = np.random.default_rng(3)
+    sheet = np.column_stack([np.zeros(2000), rng.uniform(-0.05, 0.05, (2000, 2))])
+    leaves = [sheet + [0.0, 0.6 * k, 0.0] for k in range(4)]
+    boxes = cover_with_boxes(np.concatenate(leaves), np.tile([-1.0, 0.0, 0.0], (8000, 1)), 1, SETTINGS)
+    assert len(boxes) == 4
+    assert all(box.half_extents.max() < 0.08 for box in boxes)
+
+
 def test_more_boxes_enclose_less() -> None:
     bent = np.column_stack([np.cos(t := np.linspace(0, np.pi, 4000)), np.sin(t), 0 * t]) * 0.2
     normals = bent / np.linalg.norm(bent, axis=1, keepdims=True)
     bent += np.random.default_rng(0).normal(0, 0.002, bent.shape)
-    volumes = [
-        sum(8 * np.prod(b.half_extents) for b in cover_with_boxes(bent, normals, n, SETTINGS)) for n in (1, 4, 16)
-    ]
-    assert volumes[2] < volumes[1] < 0.25 * volumes[0]
+    few, many = (
+        sum(8 * np.prod(b.half_extents) for b in cover_with_boxes(bent, normals, n, SETTINGS)) for n in (1, 40)
+    )
+    assert many < few < 0.25 * 8 * np.prod(bounding_box(bent).half_extents)
 
 
 def test_fine_shapes_enclose_less_around_a_bent_leaf() -> None:
