@@ -23,6 +23,8 @@ RESULTS = "benchmarks/results"
 SCENES = {"own": "own-cherry-2002-w10-01", "dense": "helios-dense-2003-w03-02"}
 """Scenes of the bank `mini` that the gallery shows in 3-D, by the name of their page."""
 
+LIGHT_PLOT = re.compile(r"(!\[[^\]]*\]\([^)]*)-light\.svg\)")
+
 FOREIGN = re.compile(r"<(?:script|img|iframe|source|video)[^>]*\ssrc=[\"']?(?:https?:)?//[^\s>]*")
 STYLES = re.compile(
     r"<link[^>]*rel=[\"']?(?:stylesheet|preconnect|icon|preload)[\"'\s][^>]*href=[\"']?(?:https?:)?//[^>]*"
@@ -42,8 +44,9 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
-    """Redirect links to the site's copies of benchmark results, and insert the generated tables."""
-    return insert_tables(re.sub(rf"\]\(\.\./((?:\.\./)*{RESULTS}/)", r"](\1", markdown))
+    """Redirect links to the site's copies of benchmark results, add dark plots, and insert the generated tables."""
+    markdown = re.sub(rf"\]\(\.\./((?:\.\./)*{RESULTS}/)", r"](\1", markdown)
+    return insert_tables(LIGHT_PLOT.sub(r"\1-light.svg#only-light)\n\1-dark.svg#only-dark)", markdown))
 
 
 def on_post_build(config: MkDocsConfig) -> None:

@@ -138,7 +138,7 @@ def test_files_in_the_docs_are_valid() -> None:
 
 def test_yaml_in_the_docs_is_valid(tmp_path: Path) -> None:
     """Rig files are read, and descriptions of folders are opened as far as their images, which are not there."""
-    found = [block for block in ALL if block.language == "yaml"]
+    found = [block for block in ALL if block.language == "yaml" and "--8<--" not in block.code]
     assert len(found) == 2
     for block in found:
         file = tmp_path / "cameras.yaml"

@@ -22,7 +22,7 @@ from greenhouse_gym.scene import Scene
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 OWN = ("own_agent", "own_learner")
-MAIN = ("own_planner", "own_robot")
+MAIN = ("own_planner", "own_rig", "own_robot")
 LONGER = {"own_crop": 40}
 
 
@@ -79,7 +79,7 @@ def test_own_learner_prints_its_rate(capsys: pytest.CaptureFixture[str]) -> None
 
 
 @pytest.mark.parametrize("name", MAIN)
-def test_planner_and_robot_run(name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_example_scripts_run(name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr("sys.argv", [name])
     registered = dict(_ALL.registered)
     try:
@@ -87,7 +87,7 @@ def test_planner_and_robot_run(name: str, monkeypatch: pytest.MonkeyPatch, capsy
     finally:
         _ALL.registered.clear()
         _ALL.registered.update(registered)
-    assert {"own_planner": "solved", "own_robot": "easy"}[name] in capsys.readouterr().out
+    assert {"own_planner": "solved", "own_rig": "4 stations", "own_robot": "easy"}[name] in capsys.readouterr().out
 
 
 def test_own_crop_goes_all_the_way(capsys: pytest.CaptureFixture[str]) -> None:

@@ -15,6 +15,7 @@ import pytest
 from conftest import make_scene
 
 from greenhouse_gym.capture import Camera, Intrinsics, Recording, RgbdFrame, Rig, Station, open_recording
+from greenhouse_gym.capture.formats.bag_readers import open_bag
 from greenhouse_gym.capture.image_files import read_color, read_depth
 from greenhouse_gym.capture.recordings import INDEX, write_recording
 from greenhouse_gym.common import files as paths
@@ -129,6 +130,17 @@ def test_pipes_and_devices_are_refused_at_once(tmp_path: Path, recording: Path) 
     os.mkfifo(recording / INDEX)
     with pytest.raises(FileFormatError):
         open_recording(recording)
+
+
+@pytest.mark.timeout(30)
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes among the files of this system")
+@pytest.mark.parametrize("name", ["walk.mcap", "metadata.yaml"])
+def test_a_pipe_in_a_bag_is_refused_at_once(tmp_path: Path, name: str) -> None:
+    pytest.importorskip("rosbags")
+    for each in ("walk.mcap", "metadata.yaml"):
+        os.mkfifo(tmp_path / each) if each == name else (tmp_path / each).write_text("x: 1\n")
+    with pytest.raises(FileFormatError, match="not a regular file"):
+        open_bag(tmp_path).__enter__()
 
 
 # -- sizes ------------------------------------------------------------------------------------------------------------

@@ -1,9 +1,9 @@
-"""Measure the work that compiled kernels do: first use of scenes, collision checks and plans.
+"""Measure the work that compiled kernels do: first use of scenes, collision checks, plans, images and planning agents.
 
 python -m benchmarks.speed.kernels
 
 Seconds are processor time, because other work may share the machine. ``--only`` chooses some of the measurements;
-the results of the others stay. Takes 3 minutes. Run it in another checkout, with ``--out``, to compare versions.
+the results of the others stay. Takes 4 minutes. Run it in another checkout, with ``--out``, to compare versions.
 """
 
 from __future__ import annotations
@@ -18,13 +18,18 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium
+import mujoco
 import numpy as np
 
 from benchmarks.common import RESULTS, in_own_process, parser, processor_seconds, seconds_of, write_entry
+from greenhouse_gym.agents import WatchfulAgent
 from greenhouse_gym.envs.worlds import Worlds, capacity_of
+from greenhouse_gym.evaluation import evaluate
 from greenhouse_gym.motion.collision import CollisionChecker
 from greenhouse_gym.motion.proof import checker_of
 from greenhouse_gym.planning import plan
+from greenhouse_gym.rendering.cameras import MAX_RANGE, TIP_FROM_WRIST, DepthCamera
+from greenhouse_gym.rendering.raycaster import RayCaster
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import DIFFICULTIES, Scene, SceneBank, compile_scene
 
@@ -40,6 +45,8 @@ def main() -> None:
         "first use of a true row": partial(in_own_process, true_rows, 12),
         "collision check": partial(in_own_process, checks, 6),
         "plan": partial(in_own_process, plans, 30),
+        "depth image of a true row": partial(in_own_process, depth_images, 3),
+        "watchful in the truth": partial(in_own_process, watchful, 10),
     }
     command = parser(__doc__)
     command.add_argument("--only", nargs="*", choices=measures, default=list(measures))
@@ -128,6 +135,47 @@ def plans(count: int) -> dict[str, Any]:
             "median ms": round(1000 * float(np.median(seconds)), 1),
         }
     return results
+
+
+def depth_images(count: int) -> dict[str, Any]:
+    """Measure depth images of 128 x 96 pixels in true rows, by MuJoCo in the whole model and by the ray caster."""
+    bank, arm, camera = SceneBank.open("default"), get_robot("ur5e"), DepthCamera(width=128, height=96)
+    entries = [entry for entry in bank.manifest.scenes if entry.truth][:count]
+    worlds = Worlds(arm, "truth", capacity_of(bank, "truth"))
+    total, differ = {"mujoco, ms": 0.0, "ray caster, ms": 0.0}, 0
+    for entry in entries:
+        compiled = worlds.world(bank.scene(entry.name)).compiled
+        model, data, caster = compiled.model, mujoco.MjData(compiled.model), RayCaster(compiled)
+        data.qpos[:] = arm.start
+        mujoco.mj_kinematics(model, data)
+        turn = data.site_xmat[compiled.tip_site].reshape(3, 3)
+        origin = data.site_xpos[compiled.tip_site] + turn @ TIP_FROM_WRIST[:3, 3]
+        rays = camera.rays @ turn.T
+        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        geom, known = np.empty(len(rays), np.int32), np.empty(len(rays))
+        cast = partial(caster.cast, model, data.qpos.copy(), origin, rays, 2 * MAX_RANGE)
+        whole = partial(
+            mujoco.mj_multiRay, model, data, origin, rays.reshape(-1), None, True, -1, geom, known, None, len(rays),
+            2 * MAX_RANGE,
+        )  # fmt: skip
+        total["mujoco, ms"] += 1000 * seconds_of(whole, time.process_time)
+        differ += int((cast().distance != known).sum())
+        total["ray caster, ms"] += 1000 * seconds_of(cast, time.process_time)
+    return {name: value / count for name, value in total.items()} | {"pixels that differ": differ}
+
+
+def watchful(count: int) -> dict[str, Any]:
+    """Measure episodes of `WatchfulAgent` in true rows of the validation split."""
+    options: dict[str, Any] = {"seed": 0, "physics": "truth", "split": "validation", "progress": False}
+    evaluate(WatchfulAgent(), episodes=1, **options)  # compiles what all share
+    before = processor_seconds()
+    records = evaluate(WatchfulAgent(), episodes=count, **options).records
+    return {
+        "processor s an episode": (processor_seconds() - before) / count,
+        "reached": sum(record.success for record in records),
+        "of": count,
+        "steps": float(np.mean([record.steps for record in records])),
+    }
 
 
 if __name__ == "__main__":

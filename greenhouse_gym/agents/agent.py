@@ -62,17 +62,18 @@ class Problem:
     plants: str = "rigid"
 
     @classmethod
-    def of(cls, simulation: Simulation, i: int, seed: int, agent: object = None) -> Problem:
+    def of(cls, simulation: Simulation, i: int, seed: int, knows_truth: bool = False) -> Problem:
         """Return the problem of the current episode of a simulation.
 
         It shares no object with the simulation that an agent could read the truth from or change the rules by, unless
-        the agent declares that it ``knows_truth``.
+        the agent declares that it ``knows_truth`` and the plants are compliant.
         """
         settings, robot, interval = simulation.settings, simulation.robot, simulation.interval
         return cls(
             simulation.known_scene(i), simulation.target(i), robot, simulation.episode(i).start.copy(), seed,
             make_action(settings.action, robot, interval), interval, simulation.step_limit, simulation.task.controls,
-            partial(simulation.rehearsal, i) if getattr(agent, "knows_truth", False) else None, settings.plants,
+            partial(simulation.rehearsal, i) if knows_truth and settings.plants == "compliant" else None,
+            settings.plants,
         )  # fmt: skip
 
     @property
@@ -136,6 +137,11 @@ class Agent(Protocol):
 
     def act(self, observation: Any) -> npt.NDArray[np.floating[Any]]:
         """Return the next action (size,) in `Problem.action_space`: [-1, 1] unless the environment has its own."""
+
+
+def knows_truth(agent: Agent) -> bool:
+    """Return whether an agent declares that it ``knows_truth``, and so gets more than a robot could know."""
+    return bool(getattr(agent, "knows_truth", False))
 
 
 class NamedAgent:

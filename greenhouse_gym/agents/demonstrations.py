@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from greenhouse_gym.agents.agent import Agent, Problem
+from greenhouse_gym.agents.agent import Agent, Problem, knows_truth
 from greenhouse_gym.agents.named import agent_of
 from greenhouse_gym.common.extras import needs
 from greenhouse_gym.common.files import exclusive, parsing
@@ -183,7 +183,7 @@ def _datasets_in(folder: str) -> Iterator[None]:
 def _run(agent: Agent, env: GreenhouseEnv, seed: int) -> dict[str, Any]:
     """Run an episode and return its columns."""
     observation, info = env.reset(seed=seed)
-    agent.reset(Problem.of(env.simulation, 0, seed, agent))
+    agent.reset(Problem.of(env.simulation, 0, seed, knows_truth(agent)))
     columns: dict[str, list[Any]] = {
         "observations": [observation], "actions": [], "rewards": [], "terminations": [], "truncations": [],
     }  # fmt: skip

@@ -12,7 +12,6 @@ from greenhouse_gym.agents.occupancy_map import OccupancyMap
 from greenhouse_gym.geometry import (
     Array,
     Box,
-    bounding_balls,
     distance_to_nearest,
     distance_to_shapes,
     invert,
@@ -20,6 +19,7 @@ from greenhouse_gym.geometry import (
     rotation_about,
     transform,
 )
+from greenhouse_gym.geometry.shape_arrays import BOX
 from greenhouse_gym.motion.arm_spheres import arm_spheres
 from greenhouse_gym.motion.caution import unexplained_cells
 from greenhouse_gym.rendering.cameras import DepthCamera
@@ -68,10 +68,8 @@ class LocalMap:
             rotation_about([0, 0, 1], scene.placement.yaw), base_position(scene, problem.robot)
         )
         self._base_from_scene = invert(self._scene_from_base)
-        self._shapes = scene.obstacles
-        self._balls = bounding_balls(self._shapes)
-        self._firm = [shape for shape in self._shapes if not isinstance(shape, Box)]
-        self._firm_balls = bounding_balls(self._firm)
+        self._shapes = scene.arrays
+        self._firm = self._shapes.select(np.flatnonzero(self._shapes.kinds != BOX))
 
     def add(self, depth: npt.NDArray[np.float32], joints: Array) -> bool:
         """Add an image (h, w), metres along the view, taken in a configuration (j,); return whether it adds points."""
@@ -82,10 +80,10 @@ class LocalMap:
             points = transform(self._scene_from_base, new)
             tolerance = np.maximum(_SHAPE, uncertainty)
             reach = float(tolerance.max())
-            explained = distance_to_nearest(points, self._shapes, reach, self._balls) <= tolerance
+            explained = distance_to_nearest(points, self._shapes, reach) <= tolerance
             foreign = distance_to_shapes(points, [self._tomato])[:, 0] > _SKIN + uncertainty
             at_box = foreign & explained
-            firm = distance_to_nearest(points[at_box], self._firm, reach, self._firm_balls)
+            firm = distance_to_nearest(points[at_box], self._firm, reach)
             at_box[at_box] = firm > tolerance[at_box]
             self.points_at_boxes = np.concatenate([self.points_at_boxes, new[at_box]])
             new = new[foreign & ~explained]

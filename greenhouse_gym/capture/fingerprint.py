@@ -41,7 +41,7 @@ def _files(recording: Recording, contents: bool) -> Iterator[bytes]:
     for path in files:
         name = path.relative_to(recording.folder) if path.is_relative_to(recording.folder) else path
         yield f"\n{name} ".encode()
-        if not path.exists():
+        if not path.is_file():
             yield b"missing"  # costs its station, not the recording
         elif contents:
             with parsing(path, "file of a recording"), path.open("rb") as file:

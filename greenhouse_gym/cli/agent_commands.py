@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -30,18 +31,21 @@ from greenhouse_gym.cli.options import (
 from greenhouse_gym.common.progress import progress, say
 
 if TYPE_CHECKING:
-    from greenhouse_gym.agents import Agent
     from greenhouse_gym.evaluation import Evaluation
+    from greenhouse_gym.evaluation.journal import RecordJournal
     from greenhouse_gym.evaluation.leaderboard import Entry, Protocol
 
 ENTRIES = Path("benchmarks/leaderboard")
 """Folder of the leaderboard's entries in the repository."""
 
+# Paths that are written after an agent ran are absolute: it may change the working folder.
 EntryFolder = Annotated[
-    Path | None, typer.Option("--out", help=f"Folder of the entries; {ENTRIES} by default, where that exists.")
+    Path | None,
+    typer.Option("--out", resolve_path=True, help=f"Folder of the entries; {ENTRIES} by default, where that exists."),
 ]
 ReportFile = Annotated[
-    Path | None, typer.Option("--report", help="HTML file for tables, plots and episodes in 3-D, all in one.")
+    Path | None,
+    typer.Option("--report", resolve_path=True, help="HTML file for tables, plots and episodes in 3-D, all in one."),
 ]
 
 _SUCCESS = ("agent", "success [95 %]", "easy", "medium", "hard", "unreachable", "collision")
@@ -81,25 +85,36 @@ def compare(
     them differ by more than chance, by McNemar's test on the same episodes. Lengths, steps and clearances are medians
     over the successful episodes.
 
-    An interrupted run prints the tables of the agents that have finished. The work runs in several processes only on
-    request, because parallel processes distort each other's times. For the report, a few episodes are run again at the
-    end.
+    An interrupted run prints the tables of the agents that have finished. With a report, the same command resumes it:
+    the folder REPORT.journal holds the episodes until the report is complete. The work runs in several processes only
+    on request, because parallel processes distort each other's times. For the report, a few episodes are run again at
+    the end.
     """
     from dataclasses import replace
 
     from greenhouse_gym.agents.named import make_agent
     from greenhouse_gym.agents.policy_agent import BEST
+    from greenhouse_gym.common.files import remove_folder, write_atomically
     from greenhouse_gym.errors import require_choice
     from greenhouse_gym.evaluation import compare as run
+    from greenhouse_gym.evaluation.journal import journal_in
     from greenhouse_gym.evaluation.leaderboard import TRACKS
 
     requested = names or ["RRTConnect", BEST, "random"]
     tracks = [require_choice("track", name, TRACKS) for name in comma_separated(track)]
-    chosen = _by_name(requested, [make_agent(name) for name in requested])
+    made = {name: make_agent(name) for name in requested}
+    alike = len({agent.name for agent in made.values()}) < len(made)
+    made_from = {name if alike else agent.name: name for name, agent in made.items()}
+    chosen = {label: made[name] for label, name in made_from.items()}
     shared: dict[str, Any] = {"timeout": timeout}
     shared |= given(robot=robot, task=task, difficulty=comma_separated(difficulty), scene=scene, target=target)
+    rules = {name: {"bank": bank, "split": split, "seed": seed, **TRACKS[name], **shared} for name in tracks}
+    journals: dict[tuple[str, str], RecordJournal] = {}
     if report is not None:
         _require_report(report)
+        folder = report.with_name(f"{report.name}.journal")
+        for name, (label, agent) in product(tracks, chosen.items()):
+            journals[name, label] = journal_in(folder, agent, made_from[label], **rules[name])
     finished: dict[str, list[Evaluation]] = {}
     complete = False
     try:
@@ -108,8 +123,12 @@ def compare(
             try:
                 with executor_of(backend, workers, address) as executor:
                     for label, agent in chosen.items():
-                        options = {"bank": bank, "num_envs": num_envs, **TRACKS[name], **shared}
-                        (found,) = run([agent], split, episodes, seed, executor=executor, **options)
+                        spread: dict[str, Any] = {
+                            "num_envs": num_envs,
+                            "executor": executor,
+                            "journal": journals.get((name, label)),
+                        }
+                        (found,) = run([agent], episodes=episodes, **rules[name], **spread)
                         evaluations.append(replace(found, agent=label))
             finally:
                 if evaluations:
@@ -119,13 +138,14 @@ def compare(
     finally:
         results = {name: found for name, found in finished.items() if any(e.records for e in found)}
         if report is not None and results:
-            from greenhouse_gym.common.files import write_atomically
             from greenhouse_gym.reporting.comparison import comparison_report
 
             title = f"Comparison of {', '.join(chosen)}"
             # without episodes first: running them again may fail or take long
             for shown in ({}, chosen) if complete else ({},):
                 write_atomically(report, comparison_report(title, results, shown, split, bank, **shared))
+            if complete:
+                remove_folder(folder)
             say(f"report in {report}")
 
 
@@ -147,12 +167,6 @@ def print_comparison(evaluations: Sequence[Evaluation]) -> None:
     rows.only(*_MOTION).show()
     for note in (*comparison_notes(evaluations), differences(evaluations)):
         say(f"\n{note}" if note else "")
-
-
-def _by_name(requested: Sequence[str], agents: Sequence[Agent]) -> dict[str, Agent]:
-    """Return agents by their names, or by the requested names if two agents have the same name."""
-    alike = len({agent.name for agent in agents}) < len(agents)
-    return dict(zip(requested if alike else (agent.name for agent in agents), agents, strict=True))
 
 
 def submit(
@@ -242,7 +256,7 @@ def leaderboard(
 
 def demonstrations(
     agent: AgentArgument = "roadmap",
-    out: Annotated[Path, typer.Option(help="Folder of Minari data sets.")] = Path("demonstrations"),
+    out: Annotated[Path, typer.Option(resolve_path=True, help="Folder of Minari data sets.")] = Path("demonstrations"),
     bank: Bank = "default",
     split: Split = "train",
     observation: Annotated[str, typer.Option(help="Observation to record, unless the agent needs another.")] = "state",
@@ -268,6 +282,7 @@ def watch(
     out: Annotated[
         Path | None,
         typer.Option(
+            resolve_path=True,
             help="File to write, .mp4, .gif or .webp; episode.mp4 by default, or episode.gif without the extra viz.",
             show_default=False,
         ),

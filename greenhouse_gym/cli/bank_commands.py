@@ -119,23 +119,12 @@ def compose(
     seed: Annotated[int, typer.Option(min=0, help="Seed of the scenes.")] = 0,
     robot: Robot = "ur5e",
 ) -> None:
-    """Write a bank of new training scenes, composed of the plants of a bank's training scenes."""
-    from greenhouse_gym.common.files import exclusive
-    from greenhouse_gym.errors import InvalidValueError
+    """Write a bank of training scenes composed of the plants of a bank's training scenes; resumes if interrupted."""
     from greenhouse_gym.planning import ComposedBank
-    from greenhouse_gym.planning.composed_bank import SPLIT
-    from greenhouse_gym.scene.bank import write_bank
 
-    composed = ComposedBank(bank, scenes, seed, robot)
-    if out.resolve() == composed.path:
-        raise InvalidValueError(f"{out}: the new bank needs its own folder, not that of its source")
-    made = []
-    with exclusive(out), progress("scenes", scenes) as on_progress:
-        for scene in composed:
-            made.append((scene, SPLIT))
-            on_progress(len(made))
-        write_bank(out, made, out.resolve().name, composed.manifest.description)
-    say(f"{len(made)} scenes in {out}")
+    with progress("scenes", scenes) as on_progress:
+        ComposedBank(bank, scenes, seed, robot).write(out, on_progress)
+    say(f"{scenes} scenes in {out}")
 
 
 @app.command()

@@ -90,6 +90,11 @@ def checked_name(kind: str, name: str) -> str:
     return name
 
 
+def resolved(path: str | Path) -> Path:
+    """Return an absolute path without links; unlike ``Path.resolve``, a loop of links is no error here."""
+    return Path(os.path.realpath(path))
+
+
 def inside(folder: str | Path, relative: str, named_in: object) -> Path:
     """Return the path of a file that another file names relative to a folder.
 

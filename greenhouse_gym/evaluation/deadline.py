@@ -1,9 +1,13 @@
-"""Function calls with a time limit."""
+"""Calls of foreign code with limits on time and memory."""
 
 from __future__ import annotations
 
+import ctypes
 import os
+import signal
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from functools import partial
 from queue import Empty, SimpleQueue
 from threading import TIMEOUT_MAX, Thread
 from typing import ParamSpec, TypeVar
@@ -13,6 +17,9 @@ from greenhouse_gym.errors import InvalidValueError, is_number
 MAX_MESSAGE = 1000
 """Number of characters of an error's message that records hold."""
 
+_FREE = nullcontext()
+_SECONDS_TO_END = 1.0
+
 P = ParamSpec("P")
 T = TypeVar("T")
 
@@ -20,25 +27,33 @@ T = TypeVar("T")
 class Deadline:
     """Runs calls with a time limit each. After the first timeout, every further call fails at once.
 
-    Each call runs in a thread of its own. A thread cannot be killed, so a call that hangs keeps running: discard the
-    object that it works on.
+    Each call runs in a thread of its own. When it times out, a `SystemExit` is raised at its next step of Python. If it
+    takes no such step, or catches the error, it keeps running: discard the object that it works on.
 
     A call that tries to end the process, as `sys.exit` does, fails instead. If a call forks, the copies of the process
     end where it returns.
 
     Args:
         seconds: Time limit of a call; None for no limit.
+        memory: Context of each call that limits its memory.
+        watchdog: Context that waits for it.
 
     Raises:
         InvalidValueError: The limit is not a positive, finite number that the system's clock can hold.
     """
 
-    def __init__(self, seconds: float | None = None):
+    def __init__(
+        self,
+        seconds: float | None = None,
+        memory: AbstractContextManager[None] = _FREE,
+        watchdog: AbstractContextManager[None] = _FREE,
+    ):
         if seconds is not None and not (is_number(seconds) and 0 < seconds <= TIMEOUT_MAX):
             raise InvalidValueError(
                 f"timeout must be a positive number of seconds up to {TIMEOUT_MAX:.2g}, or None, got {seconds!r}"
             )
         self._seconds = None if seconds is None else float(seconds)
+        self._memory, self._watchdog = memory, watchdog
         self._timeout_message = ""
 
     @property
@@ -57,7 +72,8 @@ class Deadline:
 
         def work() -> T:
             try:
-                return function(*arguments, **keywords)
+                with self._memory:  # a thread that lacks the memory to begin never answers
+                    return function(*arguments, **keywords)
             except (Exception, KeyboardInterrupt):  # Ctrl-C
                 raise
             except BaseException as error:
@@ -66,10 +82,12 @@ class Deadline:
                 if os.getpid() != process:
                     os._exit(1)
 
-        if self._seconds is None:
-            return work()
         if self._timeout_message:
             raise TimeoutError(self._timeout_message)
+        with self._watchdog:
+            return work() if self._seconds is None else self._in_thread(work)
+
+    def _in_thread(self, work: Callable[[], T]) -> T:
         answers: SimpleQueue[tuple[T | None, BaseException | None]] = SimpleQueue()
 
         def answer() -> None:
@@ -78,21 +96,43 @@ class Deadline:
             except BaseException as error:  # raised again in the caller's thread
                 answers.put((None, error))
 
-        Thread(target=answer, daemon=True).start()
+        thread = Thread(target=answer, daemon=True)
+        thread.start()
         try:
             result, error = answers.get(timeout=self._seconds)
         except Empty:
             self._timeout_message = f"timed out after {self._seconds:g} s"
+            ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread.ident or 0), ctypes.py_object(SystemExit))
+            thread.join(_SECONDS_TO_END)
+            self._memory.__exit__(None, None, None)
             raise TimeoutError(self._timeout_message) from None
         if error is not None:
             raise error
         return result  # type: ignore[return-value]
 
 
+class Watchdog:
+    """Context in which the system ends this process after a time, even if its code lets no other thread run.
+
+    Args:
+        seconds: The time.
+    """
+
+    def __init__(self, seconds: float):
+        self._set = partial(signal.setitimer, signal.ITIMER_REAL) if hasattr(signal, "setitimer") else lambda time: None
+        self._seconds = seconds
+
+    def __enter__(self) -> None:
+        self._set(self._seconds)
+
+    def __exit__(self, *_: object) -> None:
+        self._set(0.0)
+
+
 def describe(error: BaseException) -> str:
     """Return an error's type and message as text that can be printed and stored, whatever the message is."""
     try:
-        message = str(error)
+        message = str(error) or ("there is not enough memory" if isinstance(error, MemoryError) else "")
     except (Exception, SystemExit):
         message = "its message cannot be printed"
     return printable(f"{type(error).__name__}: {message}")

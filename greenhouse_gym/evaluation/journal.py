@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import asdict
+from hashlib import sha256
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
+from greenhouse_gym.agents import Agent
 from greenhouse_gym.common.files import read_bytes, write_atomically
+from greenhouse_gym.common.own_code import portable
 from greenhouse_gym.errors import FileFormatError, FileWriteError
 from greenhouse_gym.evaluation.records import Record
+from greenhouse_gym.scene import SceneBank
 
 _RECORD = TypeAdapter(Record)
 
@@ -68,3 +75,47 @@ class RecordJournal:
             raise FileFormatError(
                 self._path, f"line {number} is not a record ({error}); remove the file to run all episodes again"
             ) from error
+
+
+def journal_in(folder: Path, agent: Agent, name: str, bank: str, **options: Any) -> RecordJournal:
+    """Return the journal of an evaluation in a folder of journals, each named by what it identifies.
+
+    Args:
+        folder: The folder.
+        agent: The agent.
+        name: Name of the agent, as `make_agent` takes it.
+        bank: Name or folder of the bank.
+        **options: All else that the records depend on.
+
+    Raises:
+        InvalidValueError: An option cannot be written to a file.
+    """
+    named = [str(value) for value in options.values()]
+    about = {
+        "agent": name,
+        "sha256": [checksum_of(agent, name), *map(_checksum, named)],
+        "bank_sha256": SceneBank.open(bank).sha256,
+        "versions": package_versions(),
+        "options": options,
+    }
+    content = json.dumps(about, sort_keys=True, default=lambda own: portable(own, "an option"))
+    return RecordJournal(folder / f"{sha256(content.encode()).hexdigest()[:16]}.jsonl", json.loads(content))
+
+
+def checksum_of(agent: Agent, name: str) -> str:
+    """Return the checksum of the files that define an agent: the source of its class, and the file in its name."""
+    source = ""
+    with suppress(TypeError):  # a class from a file that was loaded without a module name
+        source = inspect.getsourcefile(type(agent)) or ""
+    return _checksum(name, source)
+
+
+def package_versions() -> dict[str, str]:
+    """Return the versions of the packages that records depend on."""
+    return {package: version(package) for package in ("greenhouse-gym", "mujoco", "numpy")}
+
+
+def _checksum(*names: str) -> str:
+    """Return the checksum of those files that exist among paths and names such as ``file.py:Name``."""
+    files = (Path(name if Path(name).is_file() else name.rpartition(":")[0]) for name in names)
+    return sha256(b"".join(file.read_bytes() for file in files if file.is_file())).hexdigest()

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import inspect
 import os
 import platform
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
-from contextlib import suppress
-from hashlib import sha256
-from importlib.metadata import version
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -22,9 +18,9 @@ from greenhouse_gym.crops.crop import PlantMotion
 from greenhouse_gym.envs import Randomization
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.evaluation.entry import V1, Entry, Protocol, columns_of, follows, is_current, read_entry
-from greenhouse_gym.evaluation.journal import RecordJournal
+from greenhouse_gym.evaluation.journal import RecordJournal, checksum_of, package_versions
 from greenhouse_gym.evaluation.records import Evaluation, Record
-from greenhouse_gym.evaluation.rollouts import AGENTS_CHOICE, changed_rules, evaluate, shown_rules
+from greenhouse_gym.evaluation.rollouts import AGENTS_CHOICE, changed_rules, declares_truth, evaluate, shown_rules
 from greenhouse_gym.scene import DIFFICULTIES, SceneBank
 
 __all__ = [
@@ -87,32 +83,33 @@ def submit(
     if not tracks or not set(tracks) <= set(TRACKS):
         raise InvalidValueError(f"tracks must be some of {', '.join(TRACKS)}, got {', '.join(tracks) or 'none'}")
     stem = Path(name).name.replace(":", "-").removesuffix(".json")
-    path = Path(out) / (f"{stem}.json" if protocol == V1 else f"{stem}.trial.json")
+    path = Path(out).absolute() / (f"{stem}.json" if protocol == V1 else f"{stem}.trial.json")
     fresh = Entry(
         agent=name,
         note=note,
         protocol=protocol.as_json(),
         bank_sha256=SceneBank.open(protocol.bank).sha256,
-        versions={package: version(package) for package in ("greenhouse-gym", "mujoco", "numpy")},
+        versions=package_versions(),
         machine={},
         tracks={},
     )
     _merged(path, fresh)  # reports a damaged entry before any episode runs
     about = fresh.model_dump(include={"agent", "protocol", "bank_sha256", "versions"}) | {
-        "sha256": _checksum_of(agent, name)
+        "sha256": checksum_of(agent, name)
     }
     for track in tracks:
-        _check_rules(agent.name, shown_rules(changed_rules(agent.name, agent.env_options, _settings(protocol, track))))
+        changed = changed_rules(agent.name, agent.env_options, _settings(protocol, track))
+        _check_rules(agent.name, shown_rules(changed, declares_truth(agent)))
     for track in tracks:
         journal = RecordJournal(path.with_suffix(f".{track}.jsonl"), {**about, "track": track})
         evaluation = _run(agent, protocol, track, protocol.episodes, num_envs, executor, journal)
         entry = _merged(path, fresh)  # other processes may have added tracks
         machine = {f"{track}: {name}": value for name, value in _machine(num_envs, executor).items()}
-        changed = {
+        added = {
             "machine": {**entry.machine, **machine},
             "tracks": {**entry.tracks, track: columns_of(evaluation.records)},
         }
-        write_atomically(path, entry.model_copy(update=changed).model_dump_json() + "\n")
+        write_atomically(path, entry.model_copy(update=added).model_dump_json() + "\n")
         journal.remove()
     return path
 
@@ -171,14 +168,6 @@ def _merged(path: Path, fresh: Entry) -> Entry:
     if any(getattr(before, name) != getattr(fresh, name) for name in same):
         return fresh
     return before.model_copy(update={"note": fresh.note or before.note})
-
-
-def _checksum_of(agent: Agent, name: str) -> str:
-    """Return the checksum of the files that define an agent: the source of its class, and the file in its name."""
-    files = [Path(name if Path(name).is_file() else name.rpartition(":")[0])]
-    with suppress(TypeError):  # a class from a file that was loaded without a module name
-        files.append(Path(inspect.getsourcefile(type(agent)) or ""))
-    return sha256(b"".join(file.read_bytes() for file in files if file.is_file())).hexdigest()
 
 
 def _machine(num_envs: int, executor: Executor | None) -> dict[str, str]:

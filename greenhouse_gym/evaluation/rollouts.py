@@ -9,13 +9,14 @@ import math
 import reprlib
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 
 from greenhouse_gym.agents import Agent
+from greenhouse_gym.agents.agent import knows_truth
 from greenhouse_gym.agents.named import agent_of
 from greenhouse_gym.common.executors import WorkerLostError, completed, require_portable, workers_of
 from greenhouse_gym.common.own_code import described
@@ -23,7 +24,7 @@ from greenhouse_gym.common.progress import progress as progress_of
 from greenhouse_gym.envs import EnvSettings, make_vec_env
 from greenhouse_gym.envs.choices import make_task
 from greenhouse_gym.errors import InvalidValueError, require_seed
-from greenhouse_gym.evaluation.deadline import Deadline, printable
+from greenhouse_gym.evaluation.deadline import Deadline, describe, printable
 from greenhouse_gym.evaluation.journal import RecordJournal
 from greenhouse_gym.evaluation.records import Evaluation, Evaluations, Record
 from greenhouse_gym.evaluation.runner import AgentError, EpisodeRunner, never_acted
@@ -90,6 +91,7 @@ def evaluate(
     agent, seed, episodes, num_envs = agent_of(agent), require_seed(seed), int(episodes), int(num_envs)
     own = dict(agent.env_options)
     changed = changed_rules(agent.name, own, {**options, "split": split})
+    truth = declares_truth(agent)
     chosen: list[dict[str, Any]] = [{}] * episodes
     if problems is not None:
         chosen = [{"scene": name, "target": k} for name, k in problems]
@@ -97,8 +99,8 @@ def evaluate(
     left = tuple((k, where) for k, where in enumerate(chosen) if k not in ended)
     choice = {key: own[key] for key in AGENTS_CHOICE if key in own}
     keywords = {**choice, **changed, **options, "split": split}
-    whole = _Part(agent, left, seed, num_envs, timeout, keywords, proven=bool(ended))
-    rules = shown_rules(changed)
+    whole = _Part(agent, left, seed, num_envs, timeout, keywords, proven=bool(ended), knows_truth=truth)
+    rules = shown_rules(changed, truth)
     results = whole.records() if executor is None else _run_by(executor, whole)
     with progress_of(f"episodes of {agent.name}", len(chosen), progress) as on_progress:
         for k, record in results if left else ():
@@ -141,8 +143,21 @@ def changed_rules(agent: str, own: Mapping[str, Any], options: Mapping[str, Any]
     }
 
 
-def shown_rules(changed: Mapping[str, Any]) -> str:
-    """Return changed rules as text, such as "success_radius=1.0"."""
+def declares_truth(agent: Agent) -> bool:
+    """Return whether an agent declares that it knows the truth.
+
+    Raises:
+        AgentError: It fails to answer.
+    """
+    try:
+        return Deadline().call(knows_truth, agent)
+    except Exception as error:
+        raise AgentError(f"agent {agent.name!r} failed to say whether it knows_truth: {describe(error)}") from error
+
+
+def shown_rules(changed: Mapping[str, Any], truth: bool) -> str:
+    """Return changed rules as text, such as "success_radius=1.0", also that the agent knows the truth."""
+    changed = {**changed, "knows_truth": True} if truth else changed
     return printable(", ".join(f"{key}={_SHOWN.repr(value)}" for key, value in changed.items()))
 
 
@@ -203,7 +218,8 @@ def retrace(
     agent = agent_of(agent)
     env = make_vec_env(1, **{**agent.env_options, **options, "split": split})
     try:
-        runner = EpisodeRunner(agent, env, deque((require_seed(seed), {}) for seed in seeds), 0, timeout, proven=True)
+        chosen = deque((require_seed(seed), dict[str, Any]()) for seed in seeds)
+        runner = EpisodeRunner(agent, env, chosen, 0, timeout, proven=True, knows_truth=knows_truth(agent))
         return tuple(Trace(result.record, env.simulation.robot, result.joints) for result in runner.run())
     finally:
         env.close()
@@ -221,6 +237,8 @@ class _Part:
         timeout: See `evaluate`.
         keywords: Keywords of the environment.
         proven: The agent is known to give valid actions.
+        knows_truth: The agent declared that it knows the truth.
+        workers: Number of processes that run such subsets; zero in this one.
     """
 
     agent: Agent
@@ -230,13 +248,18 @@ class _Part:
     timeout: float | None
     keywords: dict[str, Any]
     proven: bool = False
+    knows_truth: bool = False
+    workers: int = 0
 
     def records(self) -> Iterator[tuple[int, Record]]:
         """Yield indices and records of the episodes in the order in which they end."""
         count = min(self.num_envs, max(1, len(self.chosen)))
         env = make_vec_env(count, **self.keywords)
         try:
-            runner = EpisodeRunner(self.agent, env, deque(self.chosen), self.seed, self.timeout, self.proven)
+            runner = EpisodeRunner(
+                self.agent, env, deque(self.chosen), self.seed, self.timeout, self.proven, self.knows_truth,
+                self.workers,
+            )  # fmt: skip
             yield from ((result.episode_index, result.record) for result in runner.run())
         finally:
             env.close()
@@ -249,8 +272,12 @@ class _Part:
 def _run_by(executor: Executor, whole: _Part) -> Iterator[tuple[int, Record]]:
     """Yield indices and records of all episodes, run in batches by an executor's workers."""
     require_portable(executor, f"agent {whole.agent.name!r} with its options", whole)
-    chosen = whole.chosen
-    size = max(whole.num_envs, math.ceil(len(chosen) / (_PARTS * workers_of(executor))))
-    parts = (replace(whole, chosen=chosen[k : k + size], proven=True) for k in range(0, len(chosen), size))
-    for records in completed(_Part.run, parts, executor):
-        yield from records
+    chosen, workers = whole.chosen, workers_of(executor)
+    size = max(whole.num_envs, math.ceil(len(chosen) / (_PARTS * workers)))
+    whole = replace(whole, proven=True, workers=0 if isinstance(executor, ThreadPoolExecutor) else workers)
+    parts = (replace(whole, chosen=chosen[k : k + size]) for k in range(0, len(chosen), size))
+    try:
+        for records in completed(_Part.run, parts, executor):
+            yield from records
+    except WorkerLostError as error:
+        raise WorkerLostError(f"agent {whole.agent.name!r}: {error}") from error

@@ -8,18 +8,20 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from greenhouse_gym.agents.agent import Agent, Problem
+from greenhouse_gym.common.memory import MemoryLimit
 from greenhouse_gym.envs import GreenhouseVectorEnv
 from greenhouse_gym.envs.actions import check_actions
 from greenhouse_gym.envs.contacts import NAME_SEPARATOR
 from greenhouse_gym.envs.observations import Observed, select
 from greenhouse_gym.envs.simulation import Simulation
 from greenhouse_gym.errors import GreenhouseError, InvalidValueError
-from greenhouse_gym.evaluation.deadline import Deadline, describe, printable
+from greenhouse_gym.evaluation.deadline import Deadline, Watchdog, describe, printable
 from greenhouse_gym.evaluation.records import Record
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.clearance import smallest_clearance
@@ -28,6 +30,8 @@ from greenhouse_gym.robots.kinematics import tool_chain, tool_state
 
 MAX_REPLACEMENTS = 3
 """Maximum number of timed-out agents that are replaced by a copy; each may keep a thread busy."""
+
+_GRACE = 10.0  # seconds beyond twice the time limit until a process that no longer answers is ended
 
 
 class AgentError(GreenhouseError, RuntimeError):
@@ -101,6 +105,8 @@ class EpisodeRunner:
         timeout: Time limit of each call of the agent, seconds; None for no limit. After a timeout, a copy of the agent
             runs the next episode, at most `MAX_REPLACEMENTS` times; after that, all remaining episodes fail.
         proven: The agent is known to give valid actions.
+        knows_truth: The agent declared that it knows the truth.
+        workers: Number of processes like this one, which end if the agent hangs; zero for a process that must not.
     """
 
     def __init__(
@@ -111,24 +117,36 @@ class EpisodeRunner:
         seed: int,
         timeout: float | None,
         proven: bool = False,
+        knows_truth: bool = False,
+        workers: int = 0,
     ):
         self._agent, self._env, self._chosen, self._seed = agent, env, chosen, seed
         self._simulation: Simulation = env.simulation
         self._space = env.simulation.action_space
         self._shared = hasattr(agent, "act_many")
-        self._seconds, self._replaced = timeout, 0
-        self._players = [_Player(agent, Deadline(timeout))] * env.num_envs
+        self._memory = MemoryLimit(1 / max(1, workers))
+        self._limited = partial(Deadline, timeout, self._memory)
+        if timeout is not None and workers:
+            self._limited = partial(self._limited, watchdog=Watchdog(2 * timeout + _GRACE))
+        self._replaced = 0
+        self._players = [_Player(agent, self._limited())] * env.num_envs
         self._fresh: Agent | None = None  # copied after a timeout; an agent in use or hanging must not be
         if env.num_envs > 1 and not self._shared:
             self._fresh = agent
-            self._players = [_Player(_copy(agent), Deadline(timeout)) for _ in self._players]
+            self._players = [_Player(_copy(agent), self._limited()) for _ in self._players]
         elif timeout is not None:
             with suppress(InvalidValueError):
                 self._fresh = _copy(agent)
-        self._proven = proven
+        self._proven, self._knows_truth = proven, knows_truth
 
     def run(self) -> Iterator[EpisodeResult]:
         """Yield the results of all episodes in the order in which they end."""
+        try:
+            yield from self._run()
+        finally:
+            self._memory.lift()
+
+    def _run(self) -> Iterator[EpisodeResult]:
         env, ids = self._env, range(self._env.num_envs)
         if env.num_envs > 1:
             env.reset(seed=self._seed)  # single simulations can be reset only after the first reset of all
@@ -164,7 +182,7 @@ class EpisodeRunner:
         alone = np.arange(env.num_envs) == i
         env.reset(seed=[seed if mine else None for mine in alone], options={**where, "reset_mask": alone})
         player = self._player(i)
-        problem = Problem.of(self._simulation, i, seed, player.agent)
+        problem = Problem.of(self._simulation, i, seed, self._knows_truth)
         run = _Run(index, problem, player, joints=[self._simulation.joints[i].copy()])
         began = time.perf_counter()
         try:
@@ -180,7 +198,7 @@ class EpisodeRunner:
         if not player.deadline.expired or self._fresh is None or self._replaced == MAX_REPLACEMENTS:
             return player
         self._replaced += 1
-        other = _Player(_copy(self._fresh), Deadline(self._seconds))
+        other = _Player(_copy(self._fresh), self._limited())
         self._players = [other if each is player else each for each in self._players]
         return other
 

@@ -1,4 +1,4 @@
-"""Spheres, ellipsoids, capsules and boxes, distances to them, and poses; numpy only.
+"""Spheres, ellipsoids, capsules and boxes, distances to them, and poses.
 
 Lengths are metres. A pose is a 4x4 matrix named ``target_from_source``: ``world_from_camera @ point_in_camera``.
 """

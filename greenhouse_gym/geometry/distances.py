@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.geometry.arrays import Array
+from greenhouse_gym.geometry.shape_arrays import ShapeArrays, arrays_of
 from greenhouse_gym.geometry.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
 
 
@@ -120,35 +121,17 @@ def _bounding_ball(shape: Shape) -> tuple[Array, float]:
     return shape.center, float(shape.semi_axes.max()) if isinstance(shape, Ellipsoid) else shape.radius
 
 
-def distance_to_nearest(
-    points: npt.ArrayLike, shapes: Sequence[Shape], limit: float, balls: tuple[Array, Array] | None = None
-) -> Array:
+def distance_to_nearest(points: npt.ArrayLike, shapes: Sequence[Shape] | ShapeArrays, limit: float) -> Array:
     """Return signed distances (n,), negative inside, from points (n, 3) to the nearest shape, exact up to a limit.
 
     Args:
         points: (n, 3) metres.
         shapes: Shapes in the points' frame.
-        limit: Distances up to the limit are exact; beyond it, shapes may be ignored and distances be too large.
-        balls: `bounding_balls` of the shapes, for repeated calls.
+        limit: Distances up to the limit are exact, metres; larger ones may be too large.
     """
-    p = np.asarray(points, dtype=np.float64).reshape(-1, 3)
-    centers, radii = bounding_balls(shapes) if balls is None else balls
-    result = np.full(len(p), np.inf)
-    for rows in _blocks(p):
-        low, high = p[rows].min(axis=0), p[rows].max(axis=0)
-        reach = float(np.linalg.norm(high - low)) / 2 + limit + _ROUNDING
-        near = np.flatnonzero(np.linalg.norm(centers - (low + high) / 2, axis=1) - radii <= reach)
-        if len(near):
-            result[rows] = distance_to_shapes(p[rows], [shapes[k] for k in near.tolist()]).min(axis=1)
-    return result
+    from greenhouse_gym.geometry.distance_kernels import nearest_distances  # loads numba
 
-
-_BLOCK, _ROUNDING = 0.12, 1e-9  # metres
-
-
-def _blocks(points: Array) -> list[npt.NDArray[np.int64]]:
-    """Return the indices of points (n, 3) grouped by the cube of space in which they lie."""
-    if not len(points):
-        return []
-    _, block, counts = np.unique(np.floor(points / _BLOCK), axis=0, return_inverse=True, return_counts=True)
-    return np.split(np.argsort(block, kind="stable"), np.cumsum(counts)[:-1])
+    p = np.ascontiguousarray(points, dtype=np.float64).reshape(-1, 3)
+    nearest = np.empty(len(p))
+    nearest_distances(p, *(shapes if isinstance(shapes, ShapeArrays) else arrays_of(shapes)), limit, nearest)
+    return nearest

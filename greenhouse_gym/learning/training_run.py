@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
@@ -281,13 +282,20 @@ def training_in(out: Path, model: Any, settings: Mapping[str, Any], resume: bool
 
 @contextmanager
 def writing(out: Path) -> Iterator[None]:
-    """Turn errors of libraries that write to a folder, for example on a full disk, into a `FileWriteError`."""
+    """Turn errors of libraries that write to a folder, for example on a full disk, into a `FileWriteError`.
+
+    TensorBoard's thread raises them in its caller, too; there they need not be shown.
+    """
+    shown = threading.excepthook
+    threading.excepthook = lambda error: None if isinstance(error.exc_value, OSError) else shown(error)
     try:
         yield
     except GreenhouseError:
         raise
     except OSError as error:
         raise FileWriteError(out, error) from error
+    finally:
+        threading.excepthook = shown
 
 
 def learn(model: Any, report: TrainingReport, resume: bool, callbacks: Sequence[BaseCallback] = ()) -> Path:

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from greenhouse_gym.crops.parts import is_leaf
 from greenhouse_gym.errors import InvalidValueError, is_number
-from greenhouse_gym.geometry import Box, bounding_balls, distance_to_nearest
+from greenhouse_gym.geometry import Box, distance_to_nearest
 from greenhouse_gym.motion.collision import LEAVES, planning_model
 from greenhouse_gym.motion.goals import GoalSampler
 from greenhouse_gym.motion.roadmap import Roadmap, SceneRoadmaps
@@ -176,10 +176,7 @@ def _unexplained_cells(key: ByIdentity) -> Cells:
         return np.zeros((0, 0, 0), dtype=np.bool_)
     shoulder = scene.placement.position + [0.0, 0.0, scene.placement.shoulder_height]
     cells = np.argwhere((space.states == OCCUPIED) & (np.linalg.norm(space.centers - shoulder, axis=-1) < REACH))
-    shapes = scene.obstacles
-    distances = distance_to_nearest(
-        space.origin + (cells + 0.5) * space.voxel, shapes, _UNEXPLAINED, bounding_balls(shapes)
-    )
+    distances = distance_to_nearest(space.origin + (cells + 0.5) * space.voxel, scene.arrays, _UNEXPLAINED)
     result = np.zeros(space.shape, dtype=np.bool_)
     result[tuple(cells[distances > _UNEXPLAINED].T)] = True
     return result

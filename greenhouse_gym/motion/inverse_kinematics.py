@@ -70,7 +70,7 @@ def inverse_kinematics(
         (k, n) the configurations that converged to `TOLERANCE`, in the order of their guesses, and the number of
         guesses that were not left out.
     """
-    from greenhouse_gym.motion.collision_kernels import bring_onto
+    from greenhouse_gym.motion.kinematics_kernels import bring_onto
 
     q, done = np.array(guesses, dtype=np.float64, order="C"), np.empty(len(guesses), dtype=np.bool_)
     cone = np.array([0.0, 0.0, 0.0, -1.0] if approach is None else [*approach.direction, approach.half_angle])

@@ -39,7 +39,7 @@ UNKNOWN_RULES = ("free", "avoid", "forbid")
 DEPTHS = (0.0, 0.1, 0.15, 0.2, float("inf"))
 """Depths in unknown space that "avoid" tries in turn, metres; the last one is no limit."""
 
-_SLOTS = 100  # scenes of similar size share the model whose slots they fill
+_SLOTS = 100  # smallest number of slots; scenes of similar size share the model whose slots they fill
 _RESOLUTION = 0.02  # metres, at which the length of a path in unknown space is measured
 
 
@@ -138,7 +138,8 @@ def _guarded(key: ByIdentity, robot: Robot, start: tuple[float, ...], depth: flo
     if not np.isinf(depth):
         boxes = unknown_boxes(scene, robot, start, depth)
         scene = scene.model_copy(update={"clutter": (*scene.clutter, *boxes)})
-    return compile_scene(scene, robot, min(max(1, -_SLOTS * (-scene.count // _SLOTS)), MAX_CAPACITY))
+    doublings = math.ceil(math.log2(max(scene.count / _SLOTS, 1.0)))  # empty models of many sizes would take long
+    return compile_scene(scene, robot, min(_SLOTS << doublings, MAX_CAPACITY))
 
 
 @lru_cache(maxsize=4)

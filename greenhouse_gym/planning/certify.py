@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from greenhouse_gym.common.files import resolved
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, require_seed
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.clearance import path_clearance
@@ -123,9 +124,9 @@ def new_folder(bank: str | Path | SceneBank, out: str | Path) -> Path:
     Raises:
         InvalidValueError: It is the folder of that bank.
     """
-    folder = Path(out).resolve()
+    folder = resolved(out)
     if folder == SceneBank.open(bank).path.resolve():
-        raise InvalidValueError(f"{folder}: the rated bank needs another folder than the bank it is made from")
+        raise InvalidValueError(f"{folder}: the new bank needs another folder than the bank it is made from")
     return folder
 
 
@@ -311,7 +312,7 @@ def _with_targets(scene: Scene, targets: list[Target], source: dict[str, Any]) -
 
 
 def with_source(scene: Scene, source: dict[str, Any], key: str) -> Scene:
-    """Return a scene whose provenance holds the source of a rating."""
+    """Return a scene whose provenance holds the source of a rating, or of the scene itself, under a key."""
     settings = {**scene.provenance.settings, key: source}
     return scene.model_copy(update={"provenance": scene.provenance.model_copy(update={"settings": settings})})
 

@@ -3,21 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from greenhouse_gym.common.files import exclusive
 from greenhouse_gym.errors import InvalidValueError, check_whole, require_seed
 from greenhouse_gym.motion.collision import CollisionChecker, planning_model
-from greenhouse_gym.planning.certify import certify_targets
+from greenhouse_gym.planning.certify import certify_targets, load_rated, new_folder, with_source
 from greenhouse_gym.robots import Robot, get_robot
 from greenhouse_gym.scene import Scene, SceneBank, compile_scene
+from greenhouse_gym.scene.bank import write_bank
 from greenhouse_gym.scene.composition import composed_scene, plants_of
 from greenhouse_gym.scene.manifest import SceneEntry, Split, make_manifest
 
 SPLIT: Split = "train"
 """Split of the scenes of a `ComposedBank`, and of the scenes that give their plants."""
+
+COMPOSITION = "composition"
+"""Key of the source of a composed scene in the settings of its provenance."""
 
 _ATTEMPTS = 100
 
@@ -74,6 +80,35 @@ class ComposedBank(SceneBank):
 
     def __reduce__(self) -> tuple[Callable[..., ComposedBank], tuple[Any, ...]]:
         return ComposedBank, (self._source, len(self), self._seed, self._robot, self._targets)
+
+    def write(self, out: str | Path, on_progress: Callable[[int], None] = lambda done: None) -> SceneBank:
+        """Write the scenes as a bank, each as soon as it is composed, so that an interrupted run resumes.
+
+        Args:
+            out: Folder of the new bank; not that of its source.
+            on_progress: Called with the number of scenes so far.
+
+        Raises:
+            InvalidValueError: ``out`` is the folder of the source.
+            FileWriteError: It cannot be written, or another process writes it.
+        """
+        folder = new_folder(self._source, out)
+        source = {
+            "bank_sha256": self._source.sha256,
+            "robot_sha256": sha256(self._robot.path.read_bytes()).hexdigest(),
+            "seed": self._seed,
+            "targets": self._targets,
+        }
+        made: list[tuple[Scene, str]] = []
+        with exclusive(folder):
+            for name in self.names():
+                scene = load_rated(folder / f"{name}.json", source, COMPOSITION)
+                if scene is None:
+                    scene = with_source(self.scene(name), source, COMPOSITION)
+                    scene.save(folder / f"{name}.json")
+                made.append((scene, SPLIT))
+                on_progress(len(made))
+            return write_bank(folder, made, folder.name, self.manifest.description)
 
     def _read(self, entry: SceneEntry) -> Scene:
         """Compose a scene.

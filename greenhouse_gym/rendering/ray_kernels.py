@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.common.jit import inlined, kernel
+from greenhouse_gym.geometry.segment_kernels import dot, minus
 
 Array = npt.NDArray[np.float64]
 Ids = npt.NDArray[np.int32]
@@ -21,16 +22,6 @@ _ELLIPSOID = int(mujoco.mjtGeom.mjGEOM_ELLIPSOID)
 _STACK = 128  # deeper than any tree with a median split
 _TINY = 1e-15  # MuJoCo's mjMINVAL
 _SLACK = 1e-9  # metres, by which boxes of the tree are enlarged against rounding
-
-
-@inlined
-def _dot(a, b):
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@inlined
-def _minus(a, b):
-    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
 @inlined
@@ -84,7 +75,7 @@ def _inverse_squares(size):
 
 @inlined
 def _to_sphere(offset, direction, squared):
-    return _first(_roots(_dot(direction, direction), _dot(direction, offset), _dot(offset, offset) - squared))
+    return _first(_roots(dot(direction, direction), dot(direction, offset), dot(offset, offset) - squared))
 
 
 @inlined
@@ -97,7 +88,7 @@ def _to_capsule(p, d, size):
         best = x
     for side in (1, -1):
         q = (p[0], p[1], p[2] - side * size[1])
-        roots = _roots(_dot(d, d), _dot(d, q), _dot(q, q) - size[0] * size[0])
+        roots = _roots(dot(d, d), dot(d, q), dot(q, q) - size[0] * size[0])
         for k in range(2):
             x = roots[k]
             if x >= 0.0 and side * (p[2] + x * d[2]) >= size[1] and _nearer(best, x) != best:
@@ -127,12 +118,12 @@ def _to_box(p, d, size):
 @inlined
 def _to_geom(kind, size, position, quat, origin, direction):
     """Return the distance along a ray to a geom, or -1, and the part of the geom."""
-    offset = _minus(origin, position)
+    offset = minus(origin, position)
     if kind == _SPHERE:
         return _to_sphere(offset, direction, size[0] * size[0]), 0
     if kind != _ELLIPSOID:
         reach = size[0] + size[1]
-        squared = reach * reach if kind == _CAPSULE else _dot(size, size)
+        squared = reach * reach if kind == _CAPSULE else dot(size, size)
         if _to_sphere(offset, direction, squared) < 0.0:
             return -1.0, 0
     r = _rotation(quat)
@@ -144,12 +135,12 @@ def _to_geom(kind, size, position, quat, origin, direction):
     s = _inverse_squares(size)
     e = (s[0] * d[0], s[1] * d[1], s[2] * d[2])
     scaled = s[0] * p[0] * p[0] + s[1] * p[1] * p[1] + s[2] * p[2] * p[2]
-    return _first(_roots(_dot(e, d), _dot(e, p), scaled - 1.0)), 0
+    return _first(_roots(dot(e, d), dot(e, p), scaled - 1.0)), 0
 
 
 @inlined
 def _unit(v):
-    length = math.sqrt(_dot(v, v))
+    length = math.sqrt(dot(v, v))
     scale = 1.0 / length
     return v[0] * scale, v[1] * scale, v[2] * scale
 
@@ -159,8 +150,8 @@ def _normal(kind, size, position, quat, origin, direction, x, part):
     """Return the unit normal of a geom where a ray hits a part of it at a distance."""
     if kind == _SPHERE:
         hit = (origin[0] + direction[0] * x, origin[1] + direction[1] * x, origin[2] + direction[2] * x)
-        return _unit(_minus(hit, position))
-    offset = _minus(origin, position)
+        return _unit(minus(hit, position))
+    offset = minus(origin, position)
     r = _rotation(quat)
     if kind != _CAPSULE and kind != _ELLIPSOID:
         axis, sign = abs(part) - 1, 1.0 if part > 0 else -1.0
@@ -185,7 +176,7 @@ def _geom(g, sizes, positions, quats, origin):
     """Return position, offset from an origin, size and rotation of a geom."""
     at = (positions[g, 0], positions[g, 1], positions[g, 2])
     extents = (sizes[g, 0], sizes[g, 1], sizes[g, 2])
-    return at, _minus(at, origin), extents, (quats[g, 0], quats[g, 1], quats[g, 2], quats[g, 3])
+    return at, minus(at, origin), extents, (quats[g, 0], quats[g, 1], quats[g, 2], quats[g, 3])
 
 
 @inlined
@@ -271,7 +262,7 @@ def nearer_hits(
                 at, away, extents, quat = _geom(g, sizes, positions, quats, o)
                 x, where = _to_geom(kinds[g], extents, at, quat, o, d)
                 nearer = 0.0 <= x < best or (x == best and g < found)
-                if nearer and _dot(away, away) <= (reach + radii[g]) ** 2:
+                if nearer and dot(away, away) <= (reach + radii[g]) ** 2:
                     best, found, part = x, g, where
                     limit = min(limit, best)
         if found >= 0:

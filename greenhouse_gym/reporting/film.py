@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from greenhouse_gym.agents import Agent, Problem
-from greenhouse_gym.agents.agent import options_for
+from greenhouse_gym.agents.agent import knows_truth, options_for
 from greenhouse_gym.agents.named import agent_of
 from greenhouse_gym.envs import make_env
 from greenhouse_gym.envs.actions import check_actions
@@ -107,7 +107,7 @@ class _Take(NamedTuple):
         env, simulation = self.env, self.env.simulation
         observation, info = env.reset(seed=seed)
         title = f"{self.agent.name}: {info['scene']}, tomato {info['target']} ({info['difficulty']})"
-        problem = Problem.of(simulation, 0, seed, self.agent)
+        problem = Problem.of(simulation, 0, seed, knows_truth(self.agent))
         trace, failure, over = [simulation.tip(0)], "", False
         yield self._image(trace, title)
         try:

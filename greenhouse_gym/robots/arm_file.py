@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Iterator
+from contextlib import contextmanager
 from hashlib import sha256
 from math import prod
 from pathlib import Path
@@ -17,7 +18,7 @@ import mujoco
 import numpy as np
 
 from greenhouse_gym.common.files import MAX_BYTES, read_bytes
-from greenhouse_gym.errors import FileFormatError
+from greenhouse_gym.errors import FileFormatError, GreenhouseError
 
 _MAX_COPIES = 1000  # of an element by nested replication
 _MAX_SIZE = 8192  # of a texture or height field in one direction, and of what else a file asks for by number
@@ -48,20 +49,27 @@ def read_arm(path: Path) -> mujoco.MjSpec:
     """
     for file, text in _texts(path):
         _check_sizes(file, text)
-    try:
+    with loading(path):
         spec = mujoco.MjSpec.from_file(str(path))
         _check_assets(path, spec)
         _drop_world_settings(path, spec)
         model = spec.compile()
         _check_alone(path, spec, model)
-    except FileFormatError:
+    _free_base(spec, model)
+    return spec
+
+
+@contextmanager
+def loading(path: Path) -> Iterator[None]:
+    """Turn MuJoCo's errors about an arm into a `FileFormatError`."""
+    try:
+        yield
+    except GreenhouseError:
         raise
     except UnicodeDecodeError as error:
         raise FileFormatError(path, f"a name in it is no Unicode text ({error.reason})") from error
-    except (ValueError, OSError, RuntimeError, MemoryError) as error:  # it reports failed allocations in several ways
-        raise FileFormatError(path, f"MuJoCo cannot load it: {error or 'it needs too much memory'}") from error
-    _free_base(spec, model)
-    return spec
+    except (ValueError, OSError, RuntimeError, MemoryError, mujoco.FatalError) as error:  # of failed allocations, too
+        raise FileFormatError(path, f"MuJoCo cannot load it: {str(error) or 'it needs too much memory'}") from error
 
 
 def fingerprint(path: Path) -> str:

@@ -23,9 +23,10 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from greenhouse_gym.common.files import resolved
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, UnknownNameError
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.robots.arm_file import fingerprint, read_arm
+from greenhouse_gym.robots.arm_file import fingerprint, loading, read_arm
 from greenhouse_gym.robots.joint_limits import (
     DEFAULT_ACCELERATION,
     DEFAULT_SLIDE_ACCELERATION,
@@ -70,7 +71,7 @@ def get_robot(robot: str | Path | Robot) -> Robot:
     if str(robot) in ROBOTS:
         path = ROBOTS[str(robot)]
     elif str(robot).endswith(".xml"):
-        path = Path(robot).resolve()
+        path = resolved(robot)
     else:
         raise UnknownNameError("robot", str(robot), [*ROBOTS, "(or the path of an MJCF file, ending in .xml)"])
     return _read_once(path, fingerprint(path))
@@ -107,7 +108,18 @@ def load_robot(
     Raises:
         FileFormatError: The file lacks a required part, which the message names.
     """
-    path = Path(path).resolve()
+    path = resolved(path)
+    with loading(path):
+        return _robot(path, tip, start, velocity_limits, acceleration_limits)
+
+
+def _robot(
+    path: Path,
+    tip: str | None,
+    start: str | npt.ArrayLike | None,
+    velocity_limits: npt.ArrayLike | None,
+    acceleration_limits: npt.ArrayLike | None,
+) -> Robot:
     bare_spec = read_arm(path)
     bare = bare_spec.compile()
     n = _check_joints(path, bare)
@@ -129,7 +141,7 @@ def load_robot(
         warnings.warn(
             f"{path}: at its start the arm reaches {ahead:.2f} m ahead of its base, but plants stand from about "
             f'{PLANTS_AHEAD} m on; load_robot(..., start="ready") finds a collision-free start',
-            stacklevel=2,
+            stacklevel=3,
         )
     height = numeric(path, model, "shoulder_height", 1)
     probes = [i for i in range(model.nsite) if model.site(i).name.startswith(PROBE_PREFIX)]

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.common.files import write_atomically
+from greenhouse_gym.common.files import resolved, write_atomically
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.robots.arm_file import read_arm
 from greenhouse_gym.robots.load import FLANGE_SITES, find_name, load_robot
@@ -39,7 +39,7 @@ def mount_tool(
     Raises:
         FileFormatError: The file contains no arm, no such site, or already a site ``tip`` or a geom ``cup``.
     """
-    arm = Path(arm).resolve()
+    arm = resolved(arm)
     spec = read_arm(arm)
     model = spec.compile()
     sites = [model.site(i).name for i in range(model.nsite)]
@@ -59,7 +59,7 @@ def mount_tool(
     spec.compile()
     spec.meshdir = str((arm.parent / spec.meshdir).resolve())
     spec.texturedir = str((arm.parent / spec.texturedir).resolve())
-    out = Path(out).resolve()
+    out = resolved(out)
     write_atomically(out, spec.to_xml())
     begin = load_robot(out, start=start).start
     for key in spec.keys:

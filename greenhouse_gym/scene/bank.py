@@ -11,7 +11,15 @@ from numbers import Integral
 from pathlib import Path
 from typing import Any, overload
 
-from greenhouse_gym.common.files import checked_name, data_path, inside, parsing, read_bytes, write_atomically
+from greenhouse_gym.common.files import (
+    checked_name,
+    data_path,
+    inside,
+    parsing,
+    read_bytes,
+    resolved,
+    write_atomically,
+)
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, UnknownNameError, require_choice
 from greenhouse_gym.scene.manifest import (
     MANIFEST,
@@ -249,7 +257,7 @@ def write_bank(folder: str | Path, scenes: Iterable[tuple[Scene, str]], name: st
         InvalidValueError: A row is in two splits, two scenes share a name, or a name is no safe file name; nothing is
             written then.
     """
-    folder = Path(folder).resolve()
+    folder = resolved(folder)
     contents: list[tuple[Path, str]] = []
     entries: list[SceneEntry] = []
     for scene, split in scenes:

@@ -151,11 +151,11 @@ def scene_spec(
         reached = spec.geom(names[target])
         reached.contype = reached.conaffinity = ARM_ONLY
     if capacity is not None:
+        parked = spec.add_default("parked obstacles", spec.default)
+        parked.geom.type, parked.geom.size, parked.geom.pos = mujoco.mjtGeom.mjGEOM_SPHERE, [0.001, 0, 0], _PARKED
+        parked.geom.rgba, parked.geom.contype, parked.geom.conaffinity = [0, 0, 0, 0], ARM_AND_CUP, ARM_AND_CUP
         for i in range(len(names), capacity):
-            world.add_geom(
-                name=f"obstacle_{i}", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.001, 0, 0], pos=_PARKED,
-                rgba=[0, 0, 0, 0], contype=ARM_AND_CUP, conaffinity=ARM_AND_CUP,
-            )  # fmt: skip
+            world.add_geom(parked, name=f"obstacle_{i}")
     return spec
 
 

@@ -112,8 +112,8 @@ def test_hindsight_replay_relabels_with_collisions_kept(bank: SceneBank) -> None
     env = make_sb3_vec_env(2, bank=bank, observation="goal", reward="sparse", seed=0)
     model = SAC(
         "MultiInputPolicy", env, replay_buffer_class=HerReplayBuffer, learning_starts=400, train_freq=50,
-        replay_buffer_kwargs={"copy_info_dict": True, "n_sampled_goal": 4}, buffer_size=2000, batch_size=64, seed=0, device="cpu",
-        policy_kwargs={"net_arch": [16]},
+        replay_buffer_kwargs={"copy_info_dict": True, "n_sampled_goal": 4}, buffer_size=2000, batch_size=64, seed=0,
+        device="cpu", policy_kwargs={"net_arch": [16]},
     )  # fmt: skip
     model.learn(600)
     batch = model.replay_buffer.sample(2000)

@@ -31,7 +31,7 @@ def play(env, seed, agent=None, limit=400):
     """Run an episode and return its observations, rewards and last info."""
     agent = agent or OracleHarvester()
     observation, info = env.reset(seed=seed)
-    agent.reset(Problem.of(env.simulation, 0, seed, agent))
+    agent.reset(Problem.of(env.simulation, 0, seed, knows_truth=True))
     observations, rewards, over = [observation], [], False
     while not over and len(rewards) < limit:
         observation, reward, terminated, truncated, info = env.step(agent.act(observation))
@@ -72,7 +72,7 @@ def test_an_oracle_picks_a_fruit_into_the_crate(env):
 
 def test_the_simulation_repeats_a_rehearsal_bit_for_bit(env):
     env.reset(seed=0)
-    problem = Problem.of(env.simulation, 0, 0, OracleHarvester())
+    problem = Problem.of(env.simulation, 0, 0, knows_truth=True)
     trial = Rehearsal(problem)
     rng = np.random.default_rng(0)
     for _ in range(15):
@@ -111,7 +111,7 @@ def test_vector_equals_single_bit_for_bit(env):
 def test_a_copy_goes_on_independently_from_the_same_state(env):
     agent = OracleHarvester()
     observation, _ = env.reset(seed=0)
-    agent.reset(Problem.of(env.simulation, 0, 0, agent))
+    agent.reset(Problem.of(env.simulation, 0, 0, knows_truth=True))
     for _ in range(45):
         observation, *_ = env.step(agent.act(observation))
     twin = copy.deepcopy(env)

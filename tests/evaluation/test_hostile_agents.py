@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
+import re
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from threading import active_count
 from typing import Any
 
 import numpy as np
@@ -17,9 +20,10 @@ from typer.testing import CliRunner
 
 from greenhouse_gym.agents import Problem, WaypointAgent
 from greenhouse_gym.cli.main import app
+from greenhouse_gym.common import memory
 from greenhouse_gym.common.executors import processes
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.evaluation import Evaluation, compare, comparison_table, evaluate, leaderboard, retrace
+from greenhouse_gym.evaluation import AgentError, Evaluation, compare, comparison_table, evaluate, leaderboard, retrace
 from greenhouse_gym.evaluation.entry import columns_of
 from greenhouse_gym.evaluation.journal import RecordJournal
 from greenhouse_gym.evaluation.leaderboard import V1, Entry, read_entry, submit
@@ -95,8 +99,10 @@ class Hostile(StillAgent):
         sys.exit("no status")
 
 
-@pytest.mark.parametrize("timeout", [None, 60.0])
-@pytest.mark.parametrize("fault", FAULTS)
+IN_THREADS = [(fault, 60.0) for fault in ("quits", "raises what quits when printed", "answers with a trap")]
+
+
+@pytest.mark.parametrize(("fault", "timeout"), [*((fault, None) for fault in FAULTS), *IN_THREADS])
 def test_no_agent_ends_a_comparison(bank: SceneBank, fault: str, timeout: float | None, tmp_path: Path) -> None:
     agents = [Hostile(fault, 3), Hostile(fault, 1), StillAgent()]
     if fault != "answers with a trap":
@@ -142,6 +148,52 @@ def test_only_one_process_goes_on_if_an_agent_forks(bank: SceneBank, timeout: fl
     os.close(theirs)
 
 
+class Greedy(StillAgent):
+    """Takes all memory in its second episode, at once or bit by bit, and keeps it."""
+
+    name = "greedy"
+
+    def __init__(self, size: int):
+        super().__init__()
+        self.size, self.kept, self.seed = size, list[np.ndarray](), 0
+
+    def reset(self, problem: Problem) -> None:
+        super().reset(problem)
+        self.seed = problem.seed
+
+    def act(self, observation: Any) -> Any:
+        while self.seed == 1 and sum(map(len, self.kept)) < 2**31:
+            self.kept.append(np.ones(self.size, np.uint8))
+        return super().act(observation)
+
+
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="only Linux limits memory")
+@pytest.mark.parametrize(("size", "timeout"), [(2**31, None), (2**20, 60.0)], ids=["at once", "bit by bit"])
+def test_an_agent_gets_no_more_memory_than_there_is(
+    bank: SceneBank, size: int, timeout: float | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import resource
+
+    monkeypatch.setattr(memory, "available_memory", lambda: 2**27)
+    before = resource.getrlimit(resource.RLIMIT_DATA)
+    greedy, still = compare([Greedy(size), StillAgent()], episodes=2, bank=bank, timeout=timeout, step_limit=4)
+    assert [record.failure[:13] for record in greedy.records] == ["", "MemoryError: "]
+    assert [record.failure for record in still.records] == ["", ""]
+    assert resource.getrlimit(resource.RLIMIT_DATA) == before
+
+
+def test_a_call_that_timed_out_ends(bank: SceneBank) -> None:
+    class Endless(StillAgent):
+        def act(self, observation: Any) -> Any:
+            while True:
+                pass
+
+    threads = active_count()
+    with pytest.raises(AgentError, match=r"timed out after 0\.1 s"):
+        evaluate(Endless(), episodes=1, bank=bank, timeout=0.1)
+    assert active_count() == threads
+
+
 class Ending(StillAgent):
     """Ends its process."""
 
@@ -151,11 +203,31 @@ class Ending(StillAgent):
         os._exit(7)
 
 
+class EndingOnArrival(StillAgent):
+    """Ends the process that it is sent to."""
+
+    name = "ending on arrival"
+
+    def __reduce__(self) -> Any:
+        return os._exit, (7,)
+
+
+class Blocking(StillAgent):
+    """Never lets another thread run."""
+
+    name = "blocking"
+
+    def act(self, observation: Any) -> Any:
+        return sum(itertools.repeat(1))
+
+
 @pytest.mark.slow
-def test_an_agent_that_ends_its_process_ends_no_comparison_in_processes(bank: SceneBank) -> None:
+def test_an_agent_that_ends_or_blocks_its_process_ends_no_comparison_in_processes(bank: SceneBank) -> None:
+    agents = [Ending(), EndingOnArrival(), Blocking(), StillAgent()]
     with processes(2) as executor:
-        ending, still = compare([Ending(), StillAgent()], episodes=4, bank=bank, step_limit=4, executor=executor)
-    assert "a worker process ended" in ending.error
+        *lost, still = compare(agents, episodes=4, bank=bank, step_limit=4, executor=executor, timeout=10.0)
+    for agent, evaluation in zip(agents, lost, strict=False):
+        assert re.match(f"agent '{agent.name}': a worker process ended", evaluation.error)
     assert [record.failure for record in still.records] == [""] * 4
 
 
@@ -176,6 +248,28 @@ def test_a_timeout_that_is_none_is_no_fault_of_the_agent(bank: SceneBank, timeou
             run(StillAgent(), seeds=[0], episodes=1, bank=bank, timeout=timeout) if run is evaluate else run(
                 StillAgent(), [0], bank=bank, timeout=timeout
             )
+
+
+class Privileged(StillAgent):
+    """Declares that it may know the truth, or fails when asked whether it does."""
+
+    name = "privileged"
+
+    def __init__(self, fault: str = ""):
+        super().__init__()
+        self.fault = fault
+
+    @property
+    def knows_truth(self) -> bool:
+        return FAULTS[self.fault][0]() if self.fault else True
+
+
+def test_an_agent_that_declares_to_know_the_truth_is_marked(bank: SceneBank, tmp_path: Path) -> None:
+    with pytest.raises(InvalidValueError, match="changes the rules of the leaderboard: knows_truth=True"):
+        submit(Privileged(), "privileged", tmp_path, ["reconstruction"], SHORT)
+    told, failing, still = compare([Privileged(), Privileged("quits"), StillAgent()], episodes=1, bank=bank)
+    assert (told.rules, still.rules) == ("knows_truth=True", "")
+    assert "SystemExit: 3" in failing.error
 
 
 # -- rules ------------------------------------------------------------------------------------------------------------

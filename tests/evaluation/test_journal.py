@@ -9,8 +9,10 @@ from typing import Any
 
 import pytest
 from parallel_helpers import Elsewhere
+from typer.testing import CliRunner
 
 from greenhouse_gym.agents import Problem, RandomAgent
+from greenhouse_gym.cli.main import app
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.evaluation import AgentError, Record, evaluate
 from greenhouse_gym.evaluation.journal import RecordJournal
@@ -125,3 +127,36 @@ def test_an_agent_whose_file_has_changed_begins_anew(tmp_path: Path) -> None:
         with pytest.raises(KeyboardInterrupt):
             submit(Interrupted(2), f"{source}:RandomAgent", out, ["reconstruction"], SHORT)
     assert (out / "own.py-RandomAgent.trial.reconstruction.jsonl").read_text().count('"index"') == 2
+
+
+AGENT = """
+import os
+from pathlib import Path
+from greenhouse_gym.agents import StraightLineAgent
+PLAYED = Path(__file__).resolve().with_name("played")
+class Mine(StraightLineAgent):
+    name = "mine"
+    def reset(self, problem):
+        super().reset(problem)
+        with PLAYED.open("a") as file:
+            file.write("x")
+        os.chdir("/")
+        if PLAYED.stat().st_size == 4:
+            raise KeyboardInterrupt
+"""
+
+
+def test_a_comparison_with_a_report_resumes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("matplotlib")
+    (tmp_path / "mine.py").write_text(AGENT)
+    words = ["compare", "random", "mine.py:Mine", "--bank", "mini", "--episodes", "2", "--report", "r.html"]
+    words += ["--track", "reconstruction,truth"]
+    monkeypatch.chdir(tmp_path)
+    assert CliRunner().invoke(app, words).exit_code == 130
+    assert len(list((tmp_path / "r.html.journal").iterdir())) == 4
+    monkeypatch.chdir(tmp_path)
+    resumed = CliRunner().invoke(app, words)
+    assert resumed.exit_code == 0, resumed.output
+    played_again = 2  # for the report
+    assert (tmp_path / "played").stat().st_size == 4 + 1 + played_again
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["mine.py", "played", "r.html"]

@@ -28,8 +28,8 @@ NEVER = 10**9
 @pytest.fixture
 def settings(bank: SceneBank) -> SacSettings:
     return SacSettings(
-        bank=str(bank.path), num_envs=4, updates_per_step=1, batch_size=16, random_steps=900, hidden=(16,), threads=1, memory=10_000,
-        total_steps=1000, validation_steps=500, validation_episodes=4,
+        bank=str(bank.path), num_envs=4, updates_per_step=1, batch_size=16, random_steps=900, hidden=(16,), threads=1,
+        memory=10_000, total_steps=1000, validation_steps=500, validation_episodes=4,
     )  # fmt: skip
 
 

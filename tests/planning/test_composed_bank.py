@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import pickle
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -76,3 +77,22 @@ def test_wrong_numbers_and_banks_without_plants(tmp_path) -> None:
             ComposedBank("mini", **wrong)
     with pytest.raises(InvalidValueError, match="no training scene with a complete plant"):
         ComposedBank(SceneBank.open("mini").select(split="test"))
+
+
+def test_an_interrupted_bank_resumes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bank = ComposedBank("mini", 2, targets=1)
+
+    def interrupt(done: int) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        bank.write(tmp_path, interrupt)
+    monkeypatch.setattr(bank, "scene", {name: bank.scene(name) for name in bank.names()[1:]}.get)
+    written = bank.write(tmp_path)
+    assert [scene.name for scene in written] == list(bank.names())
+    again = ComposedBank("mini", 2, targets=2)
+    monkeypatch.setattr(again, "scene", pytest.fail)
+    with pytest.raises(pytest.fail.Exception, match=bank.names()[0]):
+        again.write(tmp_path)
+    with pytest.raises(InvalidValueError, match="another folder"):
+        bank.write(SceneBank.open("mini").path)

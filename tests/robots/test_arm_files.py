@@ -13,7 +13,7 @@ import pytest
 from conftest import make_scene
 
 from greenhouse_gym.errors import FileFormatError
-from greenhouse_gym.robots import ROBOTS, get_robot, load_robot, mount_tool
+from greenhouse_gym.robots import ROBOTS, get_robot, load, load_robot, mount_tool
 from greenhouse_gym.scene import compile_scene
 
 LINKS = [
@@ -235,3 +235,23 @@ def test_the_shipped_arms_have_no_settings_for_the_world() -> None:
         warnings.simplefilter("error")
         for path in ROBOTS.values():
             load_robot(path)
+
+
+@pytest.mark.parametrize("error", [ValueError("engine error: Could not allocate memory"), MemoryError()], ids=str)
+def test_memory_that_runs_out_late_is_reported_with_the_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    def fail(*_: object) -> None:
+        raise error
+
+    monkeypatch.setattr(load, "prepare_spec", fail)
+    (tmp_path / "arm.xml").write_text(arm_text())
+    with pytest.raises(FileFormatError, match=r"arm\.xml: MuJoCo cannot load it: .*memory"):
+        load_robot(tmp_path / "arm.xml")
+
+
+def test_a_loop_of_links_is_no_arm(tmp_path: Path) -> None:
+    (tmp_path / "arm.xml").symlink_to(tmp_path / "arm.xml")
+    for read in (load_robot, get_robot):
+        with pytest.raises(FileFormatError, match=r"arm\.xml: no such file"):
+            read(tmp_path / "arm.xml")

@@ -71,6 +71,9 @@ def open_bag(bag: Path) -> Iterator[Any]:
     """
     with needs("bags"):
         from rosbags.highlevel import AnyReader
+    for file in (bag, *(bag.iterdir() if bag.is_dir() else ())):
+        if file.exists() and not (file.is_file() or file.is_dir()):  # opening a pipe would wait forever
+            raise FileFormatError(file, "cannot be read (not a regular file)")
     with ExitStack() as opening:
         try:
             if bag.suffix.lower() == ".db3":

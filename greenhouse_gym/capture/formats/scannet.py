@@ -50,6 +50,8 @@ def open(path: Path) -> Recording:
 
 def _intrinsics(file: Path, shape: tuple[int, ...]) -> Intrinsics:
     matrix = read_numbers(file, 4)
+    if len(matrix) < 3:
+        raise FileFormatError(file, f"expected a matrix of at least 3 rows, got {len(matrix)}")
     return Intrinsics(shape[1], shape[0], matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2])
 
 

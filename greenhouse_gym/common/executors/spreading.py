@@ -133,7 +133,7 @@ def _failed(future: Future[Any]) -> bool:
 
 def _lost(error: BaseException) -> WorkerLostError:
     return WorkerLostError(
-        "a worker process ended before its task was done: killed, out of memory, crashed, or started by a "
+        "a worker process ended before its task was done: killed, out of memory, crashed, hanging, or started by a "
         f"script without 'if __name__ == \"__main__\":' ({str(error) or type(error).__name__})"
     )
 

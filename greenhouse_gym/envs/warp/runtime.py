@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from greenhouse_gym.common.memory import available_memory
 from greenhouse_gym.errors import InvalidValueError, require_choice
 
 DEVICES = ("cpu", "cuda")
@@ -91,14 +92,7 @@ def check_memory(device: Any, needed: int, advice: str) -> None:
     Raises:
         InvalidValueError: There is too little memory.
     """
-    if device.is_cuda:
-        free = device.free_memory
-    else:
-        free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-        meminfo = Path("/proc/meminfo")
-        for line in meminfo.read_text().splitlines() if meminfo.is_file() else ():
-            if line.startswith("MemAvailable:"):
-                free = int(line.split()[1]) * 1024
+    free = device.free_memory if device.is_cuda else available_memory()
     if needed > _MEMORY_FRACTION * free:
         raise InvalidValueError(
             f"{needed / 1e9:.1f} GB are needed on {device.alias}, and {free / 1e9:.1f} GB are free: {advice}"
