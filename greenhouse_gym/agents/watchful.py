@@ -32,9 +32,10 @@ from greenhouse_gym.motion.goals import MAX_BATCHES, MAX_GOALS, GoalSampler, nea
 from greenhouse_gym.motion.joint_reaches import arm_reaches
 from greenhouse_gym.motion.kernel_checker import search_checker
 from greenhouse_gym.motion.roadmap import REACHED, RESOLUTION, ROADMAP_MARGIN
+from greenhouse_gym.motion.unknown_space import guarded
 from greenhouse_gym.planning import plan
 from greenhouse_gym.rendering.cameras import DepthCamera
-from greenhouse_gym.scene import CompiledScene, Scene, compile_scene
+from greenhouse_gym.scene import CompiledScene, Scene
 
 CAUTION_DEPTHS = (0.1, 0.15, 0.2, float("inf"))
 """Depths in unknown space that are tried in turn, metres. With none at all, no path led to any of 15 tomatoes."""
@@ -161,7 +162,7 @@ class _Episode:
     def _initial_path(self, target: Array) -> list[Array]:
         """Return the configuration with the plants in view; empty if the scan has something in the way."""
         problem = self._problem
-        checker = self._checker(compile_scene(problem.scene, problem.robot), 0.0)
+        checker = self._checker(self._compiled(problem.scene), 0.0)
         view = initial_view(self._arm, problem.robot, problem.start, _INITIAL_POINT * target)
         return [view] if checker.motion_is_free(problem.start, view, RESOLUTION) else []
 
@@ -226,14 +227,14 @@ class _Episode:
     def _plan(self, command: Array) -> tuple[Scene, CautionLevel]:
         """Plan a path to the target; return the scene as it is known and the caution level of the path."""
         problem = self._problem
-        goals = GoalSampler(compile_scene(problem.scene, problem.robot), problem.target, command)
+        goals = GoalSampler(self._compiled(problem.scene), problem.target, command)
         for voxel in VOXELS:
             scene = self._map.scene(command, voxel)
             roadmap, level = cautious_roadmap(scene, problem.robot, goals, self._levels)
             self._path = roadmap.path(command)
             if self._path:
                 return scene, level
-        checker = self._checker(compile_scene(scene, problem.robot))
+        checker = self._checker(self._compiled(scene))
         free = nearest_free_goals(checker, goals, MAX_GOALS, MAX_BATCHES)
         avoid_surfaces = self._heed_unexplained and bool(unexplained_cells(scene).any())
         for level in (_NO_CAUTION if avoid_surfaces else _NO_CAUTION[1:]) if len(free) else ():
@@ -268,6 +269,10 @@ class _Episode:
                 self._path, self._looking = [viewpoint], True
                 self._looked_at = np.concatenate([self._looked_at, points[seen]])
                 return
+
+    def _compiled(self, scene: Scene) -> CompiledScene:
+        """Return a scene in which all unknown space is free; the last ones are cached."""
+        return guarded(scene, self._problem.robot, self._problem.start, np.inf)
 
     def _checker(self, compiled: CompiledScene, margin: float = ROADMAP_MARGIN) -> CollisionChecker:
         return search_checker(planning_model(compiled, self._problem.target, margin), arm_reaches(compiled.robot))
