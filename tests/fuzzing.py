@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import signal
 import subprocess
@@ -10,6 +11,7 @@ import sys
 import tempfile
 import warnings
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -97,3 +99,22 @@ def assert_all_end_well(module: str, folder: Path, jobs: list[tuple[str, int, in
         assert refused >= sources[kind].least_refused * count, (kind, refused)
         assert peak < MEMORY
     assert done.returncode == 0, done.stderr
+
+
+def assert_what_is_no_file_does_no_harm(source: Source, folder: Path) -> None:
+    """Check that a folder, a pipe, a device or a link in a file's place gives an error of the package at most."""
+    path = source.write(folder)
+    path.unlink()
+    puts: tuple[Callable[[], object], ...] = (
+        path.touch,
+        path.mkdir,
+        lambda: os.mkfifo(path),
+        lambda: path.symlink_to("/dev/zero"),
+        lambda: path.symlink_to("missing"),
+        lambda: path.symlink_to(path),
+    )
+    for put in puts:
+        put()
+        with suppress(GreenhouseError):
+            source.use(path)
+        path.rmdir() if path.is_dir() else path.unlink()

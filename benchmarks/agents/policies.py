@@ -124,9 +124,15 @@ def kinds_of_rows(bank: SceneBank) -> dict[str, str]:
 
 def outcomes(records: Sequence[Record]) -> dict[str, Any]:
     """Return the rates of success and collision with their 95 % intervals."""
-    found: dict[str, Any] = {"episodes": len(records)}
-    for name in ("success", "collision"):
-        one = rate(sum(bool(getattr(record, name)) for record in records), len(records))
+    counts = (sum(bool(getattr(record, name)) for record in records) for name in ("success", "collision"))
+    return rates_of(len(records), *counts)
+
+
+def rates_of(episodes: int, success: int, collision: int) -> dict[str, Any]:
+    """Return the rates of counted successes and collisions with their 95 % intervals."""
+    found: dict[str, Any] = {"episodes": episodes}
+    for name, count in (("success", success), ("collision", collision)):
+        one = rate(count, episodes)
         found |= {name: one["rate"], f"{name}_95": one["interval"]}
     return found
 

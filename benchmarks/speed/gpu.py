@@ -266,6 +266,8 @@ class Run:
 
     def _evaluate(self, policy: Any, count: int, **settings: Any) -> dict[str, Any]:
         """Play one episode in each simulation with the policy's mean action."""
+        from greenhouse_gym.envs.choices import step_limit_of
+
         torch = self.torch
         env = self.env(count, **settings)
         observation, _ = env.reset(seed=10_000)
@@ -277,7 +279,7 @@ class Run:
         center, scale = torch.from_numpy(policy.center).to(on), torch.from_numpy(policy.scale).to(on)
         alive = torch.ones(count, dtype=torch.bool, device=on)
         success, collision = torch.zeros_like(alive), torch.zeros_like(alive)
-        for _ in range(env.unwrapped.settings.step_limit):
+        for _ in range(step_limit_of(env.unwrapped.settings)):
             x = (observation - center) / scale
             for weight, bias in weights[:-1]:
                 x = torch.relu(x @ weight.T + bias)

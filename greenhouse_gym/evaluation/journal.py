@@ -116,6 +116,10 @@ def package_versions() -> dict[str, str]:
 
 
 def _checksum(*names: str) -> str:
-    """Return the checksum of those files that exist among paths and names such as ``file.py:Name``."""
-    files = (Path(name if Path(name).is_file() else name.rpartition(":")[0]) for name in names)
+    """Return the checksum of the files among paths and names such as ``file.py:Name``, with the weights of policies."""
+    files: list[Path] = []
+    for place in (Path(name if Path(name).exists() else name.rpartition(":")[0] or name) for name in names):
+        if place.name:
+            files += [place, place.with_suffix(".json"), place.with_suffix(".safetensors")]
+            files += sorted(place.glob("*.safetensors"))
     return sha256(b"".join(file.read_bytes() for file in files if file.is_file())).hexdigest()

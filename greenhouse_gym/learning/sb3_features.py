@@ -53,9 +53,6 @@ def policy_for(observe: ObservationSpec) -> tuple[str, dict[str, Any]]:
     else:
         name = "CnnPolicy" if is_image_space(space) else "MlpPolicy"
         extractor = ScaledObservation if size and space.shape == (size,) else None
-    name = (
-        "MultiInputPolicy" if isinstance(space, spaces.Dict) else "CnnPolicy" if is_image_space(space) else "MlpPolicy"
-    )
     if extractor is None:
         return name, {}
     return name, {"features_extractor_class": extractor, "features_extractor_kwargs": {"layout": observe.layout}}

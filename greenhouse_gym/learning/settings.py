@@ -116,8 +116,8 @@ class DevicePpoSettings:
         target: The only tomato of the scene to train on.
         device: "cpu" or "cuda".
         total_steps: Steps of all simulations together.
-        num_envs: Number of simulations; 0 for 4,096 on a GPU and 256 on a CPU.
-        rollout_steps: Steps of each simulation between updates; 0 for 24 on a GPU and 64 on a CPU.
+        num_envs: Number of simulations; 0 for 4,096 on a GPU and 512 on a CPU.
+        rollout_steps: Steps of each simulation between updates; 0 for 24 on a GPU and 32 on a CPU.
         minibatches: Gradient steps per pass over a rollout.
         epochs: Passes over a rollout.
         learning_rate: Learning rate at the start. It follows the divergence of the policy from the one before the
@@ -157,7 +157,7 @@ class DevicePpoSettings:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        sizes = (256, 64) if self.device == "cpu" else (4096, 24)
+        sizes = (512, 32) if self.device == "cpu" else (4096, 24)
         for name, size in zip(("num_envs", "rollout_steps"), sizes, strict=True):
             object.__setattr__(self, name, getattr(self, name) or size)
 

@@ -34,6 +34,7 @@ from greenhouse_gym.scene.obstacle_slots import build_tree, write_geoms
 
 _UP = np.array([0.0, 0.0, 1.0])
 _UPRIGHT_MARGIN = 1.5  # stiffness of an organ above its root over that at which gravity would tip it
+_THICKEST = 0.004  # metres: half thickness of merged leaflets, which curve
 _MIN_DAMPING = 1e-4  # N m s/rad
 
 
@@ -272,7 +273,7 @@ class _Filler:
 
 
 def merged(plates: ShapeArrays, count: int) -> ShapeArrays:
-    """Merge the boxes of a leaf into at most ``count``, each around neighboring ones."""
+    """Merge the boxes of a leaf into at most ``count`` thin ones, each along neighboring ones."""
     if len(plates.kinds) <= count:
         return plates
     signs = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, 8).T
@@ -294,8 +295,10 @@ def merged(plates: ShapeArrays, count: int) -> ShapeArrays:
         axes[:, 0] *= np.sign(np.linalg.det(axes))
         local = (points - center) @ axes
         low, high = local.min(axis=0), local.max(axis=0)
-        result.starts[k] = result.ends[k] = center + axes @ ((low + high) / 2)
-        result.sizes[k], result.rotations[k] = (high - low) / 2, axes
+        half = (high - low) / 2
+        half[0] = min(half[0], _THICKEST)
+        result.starts[k] = result.ends[k] = center + axes @ ([np.median(local[:, 0]), *(low + high)[1:] / 2])
+        result.sizes[k], result.rotations[k] = half, axes
     return result
 
 

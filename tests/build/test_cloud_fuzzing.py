@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import struct
 import tempfile
 from collections.abc import Callable, Mapping
@@ -12,7 +13,7 @@ from types import MappingProxyType
 import numpy as np
 import pytest
 from cloud_writers import COLOR_NAMES, e57, geo_keys, las, pcd, ply_header, ply_with_columns, rows_of, with_valid_pages
-from fuzzing import Damage, Source, assert_all_end_well
+from fuzzing import Damage, Source, assert_all_end_well, assert_what_is_no_file_does_no_harm
 from mutants import damaged_arrays, damaged_bytes, damaged_numbers
 
 from greenhouse_gym.build.scans import read_cloud
@@ -108,6 +109,13 @@ def test_some_mutants_of_each_format(tmp_path: Path) -> None:
     pytest.importorskip("laspy")
     pytest.importorskip("pye57")
     assert_all_end_well(__name__, tmp_path, [(kind, 0, 3 if kind in NATIVE else 25) for kind in SOURCES])
+
+
+@pytest.mark.timeout(60)
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes among the files of this system")
+@pytest.mark.parametrize("kind", sorted(SOURCES.keys() - NATIVE))
+def test_what_is_no_file_does_no_harm(tmp_path: Path, kind: str) -> None:
+    assert_what_is_no_file_does_no_harm(SOURCES[kind], tmp_path)
 
 
 @pytest.mark.slow

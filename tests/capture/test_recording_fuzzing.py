@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -11,7 +12,7 @@ import cv2
 import numpy as np
 import pytest
 from bag_writer import MCAP, ROS1, SQLITE, Writer
-from fuzzing import Source, assert_all_end_well
+from fuzzing import Source, assert_all_end_well, assert_what_is_no_file_does_no_harm
 from mutants import damaged_bytes, damaged_json, damaged_numbers
 from robots.test_arm_files import arm_text
 
@@ -141,6 +142,13 @@ def _bags() -> None:
 
 def test_some_mutants_of_each_kind(tmp_path: Path) -> None:
     assert_all_end_well(__name__, tmp_path, [(kind, 0, 10) for kind in SOURCES])
+
+
+@pytest.mark.timeout(60)
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes among the files of this system")
+@pytest.mark.parametrize("kind", SOURCES)
+def test_what_is_no_file_does_no_harm(tmp_path: Path, kind: str) -> None:
+    assert_what_is_no_file_does_no_harm(SOURCES[kind], tmp_path)
 
 
 @pytest.mark.slow

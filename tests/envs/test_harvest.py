@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+from importlib import resources
 
 import gymnasium
 import numpy as np
@@ -170,6 +171,13 @@ def test_a_crate_in_the_way_of_the_arm_is_refused():
     task = TomatoHarvest(layout=Layout(crate=Crate(position=(0.0, 0.0, 0.9), half_extents=(0.3, 0.3, 0.2))))
     with pytest.raises(InvalidValueError, match="crate is in the arm's way"):
         make_env(**OPTIONS | {"task": task}).reset(seed=0)
+
+
+def test_an_arm_whose_gripper_cannot_hold_is_refused(tmp_path):
+    arm = tmp_path / "arm.xml"
+    arm.write_text((resources.files("greenhouse_gym.robots") / "ur5e.xml").read_text().replace('"cup"', '"finger"'))
+    with pytest.raises(InvalidValueError, match="has no gripper that can hold"):
+        make_env(**OPTIONS, robot=arm).reset(seed=0)
 
 
 def test_a_size_of_another_task_is_refused():

@@ -15,7 +15,7 @@ from greenhouse_gym.agents import Problem, RandomAgent
 from greenhouse_gym.cli.main import app
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.evaluation import AgentError, Record, evaluate
-from greenhouse_gym.evaluation.journal import RecordJournal
+from greenhouse_gym.evaluation.journal import RecordJournal, checksum_of
 from greenhouse_gym.evaluation.leaderboard import V1, read_entry, submit
 from greenhouse_gym.scene import SceneBank
 
@@ -127,6 +127,19 @@ def test_an_agent_whose_file_has_changed_begins_anew(tmp_path: Path) -> None:
         with pytest.raises(KeyboardInterrupt):
             submit(Interrupted(2), f"{source}:RandomAgent", out, ["reconstruction"], SHORT)
     assert (out / "own.py-RandomAgent.trial.reconstruction.jsonl").read_text().count('"index"') == 2
+
+
+@pytest.mark.parametrize("name", ["run", "run/policy.json", "run/policy", "run/mine.py:Mine"])
+def test_the_checksum_of_an_agent_covers_its_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("run").mkdir()
+    for suffix in (".json", ".safetensors"):
+        Path("run/policy").with_suffix(suffix).write_text("0")
+    Path("run/mine.py").write_text("0")
+    before = checksum_of(RandomAgent(), name)
+    changed = Path("run/mine.py") if "mine" in name else Path("run/policy.safetensors")
+    changed.write_text("1")
+    assert checksum_of(RandomAgent(), name) != before
 
 
 AGENT = """

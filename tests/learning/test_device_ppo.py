@@ -53,7 +53,7 @@ def test_interrupted_training_leaves_a_policy(tmp_path):
 
 
 def test_sizes_follow_the_device_and_sources_choose_the_rows():
-    assert (DevicePpoSettings().num_envs, DevicePpoSettings().rollout_steps) == (256, 64)
+    assert (DevicePpoSettings().num_envs, DevicePpoSettings().rollout_steps) == (512, 32)
     assert (DevicePpoSettings(device="cuda").num_envs, DevicePpoSettings(device="cuda").rollout_steps) == (4096, 24)
     assert DevicePpoSettings(num_envs=32).num_envs == 32
     training = DevicePpo(replace(SMALL, sources=("own",), action="tip_velocity"))

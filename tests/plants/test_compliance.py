@@ -7,6 +7,8 @@ import mujoco
 import numpy as np
 import pytest
 
+from greenhouse_gym.agents import Problem
+from greenhouse_gym.agents.harvester import OracleHarvester
 from greenhouse_gym.envs import make_env
 from greenhouse_gym.envs.randomization import Randomization
 from greenhouse_gym.envs.stepping import drive_and_record
@@ -79,9 +81,10 @@ def test_mass_properties_equal_those_of_the_compiler():
     np.testing.assert_allclose(np.sort(found.inertia), np.sort(expected.body_inertia[1]))
 
 
-def test_merged_plates_cover_those_of_the_leaf():
+def test_merged_plates_span_those_of_the_leaf_and_are_as_thin():
     rng = np.random.default_rng(0)
-    boxes = arrays_of([Box(rng.normal(size=3) * 0.1, np.array([0.02, 0.01, 0.001]), np.eye(3)) for _ in range(40)])
+    centers = [np.append(rng.uniform(-0.2, 0.2, 2), 0.0) for _ in range(40)]
+    boxes = arrays_of([Box(center, np.array([0.02, 0.01, 0.001]), np.eye(3)) for center in centers])
     few = merged(boxes, 5)
 
     def covers(k, center):
@@ -89,6 +92,8 @@ def test_merged_plates_cover_those_of_the_leaf():
 
     assert len(few.kinds) == 5
     assert all(any(covers(k, center) for k in range(5)) for center in boxes.starts)
+    curved = merged(boxes._replace(starts=boxes.starts + [0.0, 0.0, 2.0] * boxes.starts[:, :1] ** 2), 5)
+    assert curved.sizes.min(axis=1).max() <= 0.004
 
 
 def test_plants_rest_where_they_were_scanned(model):
@@ -145,6 +150,25 @@ def test_a_fruit_swings_at_the_frequency_of_a_pendulum(model, ids):
     signs = np.flatnonzero(np.diff(np.sign(trace)))
     period = 2 * float(np.diff(signs).mean()) * model.opt.timestep
     assert 2 * np.pi / period == pytest.approx(float(np.sqrt(np.real(modes[mode]))), rel=0.05)
+
+
+def test_halving_the_step_changes_deflections_little(ids):
+    peaks = []
+    for step in (0.01, 0.005, 0.002):
+        model = copy.copy(planted()[0])
+        model.opt.timestep = step
+        data = mujoco.MjData(model)
+        bodies = np.array([ids.truss[0], *ids.leaf])
+        hinges = model.jnt_qposadr[model.body_jntadr[bodies]][:, None] + [0, 1]
+        peak = np.zeros(hinges.shape)
+        for k in range(round(1 / step)):  # pushed aside and down for half a second, then they swing back
+            data.xfrc_applied[bodies, :3] = [0.0, 0.6, -0.6] if k * step < 0.5 else 0.0
+            mujoco.mj_step(model, data)
+            peak = np.maximum(peak, np.abs(data.qpos[hinges]))
+        peaks.append(peak[peak > 0.03])
+    assert peaks[0].max() > 0.15
+    for finer in peaks[1:]:
+        np.testing.assert_allclose(peaks[0], finer, rtol=0.15)
 
 
 def test_hinges_keep_a_minimum_inertia(model, ids):
@@ -248,3 +272,39 @@ def test_half_an_hour_of_shoving_in_six_scenes():
         assert warnings == 0
         assert np.isfinite(data.qpos).all()
         assert np.abs(hinges).max() < np.radians(1), scene
+
+
+@pytest.mark.slow
+def test_the_same_fruit_come_off_at_finer_steps():
+    same, ratios = [], []
+    for seed in range(10):
+        env = make_env(bank="mini", **(agent := OracleHarvester()).env_options)
+        observation, _ = env.reset(seed=seed)
+        agent.reset(Problem.of(env.simulation, 0, seed, agent))
+        actions = []
+        while not agent.status and len(actions) < 200:
+            actions.append(agent.act(observation))
+            observation, _, terminated, truncated, _ = env.step(actions[-1])
+            if terminated or truncated:
+                break
+        off, bends = zip(*(replay(env, actions, seed, finer) for finer in (1, 2, 5)), strict=True)
+        same += [off[0] == other for other in off[1:]]
+        large = bends[0] > 0.3
+        ratios += [bends[0][large] / other[large] for other in bends[1:]]
+    assert np.mean(same) >= 0.95
+    assert np.quantile(np.concatenate(ratios), [0.05, 0.95]) == pytest.approx([1, 1], abs=0.15)
+
+
+def replay(env, actions, seed, finer):
+    """Repeat actions with finer steps; return which fruit came off, and the largest bend (organs,) of each organ."""
+    env.reset(seed=seed)
+    physics, live = env.simulation._physics, env.simulation.live(0)
+    live.model.opt.timestep /= finer
+    timing = physics._timing
+    physics._timing = timing._replace(substeps=finer * timing.substeps)
+    bends = []
+    for action in actions:
+        env.simulation.step(action[None])
+        bends.append(np.linalg.norm(live.data.qpos[live.plants._hinges[:, None] + [0, 1]], axis=1))
+    physics._timing = timing
+    return (live.plants.state > 0).tolist(), np.max(bends, axis=0)
