@@ -91,7 +91,7 @@ class RayCaster:
 
     def _cast_at_arm(
         self, model: mujoco.MjModel, joints: Array, origin: Array, directions: Array, reach: float, surfaces: bool
-    ) -> tuple[Array, npt.NDArray[np.int32], Array]:
+    ) -> tuple[Array, npt.NDArray[np.int64], Array]:
         """Return distances, geoms of the view and normals of hits on anything except obstacles; see `cast`."""
         view, fixture = self._arm, np.arange(self._slots.start)
         for name in _GEOM_FIELDS:
@@ -107,4 +107,4 @@ class RayCaster:
             view, self._data, origin, directions.reshape(-1), None, True, -1, geom, distance,
             normal.reshape(-1) if surfaces else None, count, reach,
         )  # fmt: skip
-        return distance, geom, normal
+        return distance, geom.astype(np.int64), normal
