@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
+from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -82,9 +83,10 @@ def read_entry(path: Path, name: str, settings: Mapping[str, Any]) -> dict[str, 
 
 
 def command_line() -> str:
-    """Return the module that runs with its arguments."""
-    spec = sys.modules["__main__"].__spec__
-    return " ".join([spec.name if spec else Path(sys.argv[0]).name, *sys.argv[1:]])
+    """Return the module that runs with its arguments, without folders and files of this machine."""
+    spec, words = sys.modules["__main__"].__spec__, sys.argv[1:]
+    kept = (word for before, word in pairwise(["", *words]) if not {before, word} & {"--workdir", "--results"})
+    return " ".join([spec.name if spec else Path(sys.argv[0]).name, *kept])
 
 
 def _circumstances() -> dict[str, Any]:

@@ -287,15 +287,15 @@ def test_an_agent_that_fails_on_the_way_loses_the_episode(
 def test_an_agent_that_hangs_loses_the_episode_and_a_copy_plays_on(
     bank: SceneBank, num_envs: int, failed: list[int]
 ) -> None:
-    evaluation = evaluate(Flawed(hangs), episodes=11, bank=bank, timeout=1.0, num_envs=num_envs)
+    evaluation = evaluate(Flawed(hangs), episodes=11, bank=bank, timeout=0.5, num_envs=num_envs)
     assert [i for i, r in enumerate(evaluation.records) if r.failure] == failed, "three copies and no more"
-    assert {r.failure for r in evaluation.records} == {"", "TimeoutError: timed out after 1 s"}
+    assert {r.failure for r in evaluation.records} == {"", "TimeoutError: timed out after 0.5 s"}
 
 
 @pytest.mark.parametrize("num_envs", [1, 2])
 def test_one_that_plays_all_episodes_together_is_replaced_as_well(bank: SceneBank, num_envs: int) -> None:
     agent = FlawedTogether(hangs)
-    evaluation = evaluate(agent, episodes=6, bank=bank, timeout=1.0, num_envs=num_envs)
+    evaluation = evaluate(agent, episodes=6, bank=bank, timeout=0.5, num_envs=num_envs)
     assert [r.steps for r in evaluation.records] == [3] * min(6, 4 * num_envs) + [0] * (6 - min(6, 4 * num_envs))
     assert agent.steps == 4, "a copy took its place"
 

@@ -47,6 +47,7 @@ def test_every_combination_is_trained_elsewhere_and_goes_on_where_it_stopped(
         assert json.loads((tmp_path / row["folder"] / "settings.json").read_text())["threads"] == 1
 
 
+@pytest.mark.slow
 @pytest.mark.xdist_group("ray")
 def test_trials_of_ray_tune_give_the_table_of_one_process(
     settings: PpoSettings, tmp_path: Path, cluster: RayExecutor
