@@ -29,14 +29,14 @@ _APART = 0.016  # metres between two flowers
 
 
 def petal_mask(colors: Array) -> Mask:
-    """Return which colors (n, 3) may be those of petals."""
+    """Return which colors (n, 3), RGB from 0 to 1, may be those of petals."""
     red, brightest = redness(colors), colors.max(axis=1, initial=0.0)
     yellow = (red > _REDNESS[0]) & (red < _REDNESS[1]) & (colors[:, 2] < _MAX_BLUE * brightest)
     return np.asarray(yellow & (brightest > _MIN_BRIGHTNESS))
 
 
 def flower_mask(spheres: Sequence[Sphere], surface: SurfaceCloud) -> Mask:
-    """Return which spheres (k,) lie on petals rather than on the skin of fruit, which is round."""
+    """Return which of k spheres, in the frame of the surface, lie on petals rather than on the round skin of fruit."""
     tree, petals = cKDTree(surface.points), petal_mask(surface.colors)
     flowers = np.zeros(len(spheres), dtype=np.bool_)
     for k, sphere in enumerate(spheres):
@@ -51,7 +51,7 @@ def flower_mask(spheres: Sequence[Sphere], surface: SurfaceCloud) -> Mask:
 
 
 def find_flowers(surface: SurfaceCloud, fruit: Sequence[Shape]) -> tuple[Sphere, ...]:
-    """Return a ball of usual size around each group of petals that is no fruit."""
+    """Return a ball of usual size around each group of petals on no fruit, in the frame of the surface, metres."""
     points = surface.points[petal_mask(surface.colors)]
     points = points[nearest_shapes(points, fruit, SHELL).owner < 0]
     if not len(points):

@@ -1,4 +1,4 @@
-"""Flowers are told from fruit by the color of their petals, and from yellow fruit by their shape."""
+"""Petals are recognized by their color; yellow fruit differs from flowers by its shape."""
 
 from __future__ import annotations
 
