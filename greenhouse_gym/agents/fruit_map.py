@@ -1,0 +1,79 @@
+"""Fruit as a scan shows them, followed by what a color camera at the wrist sees of them."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.distance import cdist
+
+from greenhouse_gym.geometry import Array
+from greenhouse_gym.scene import Scene
+
+_RED, _FAR = 1.5, 1.2  # red over green and blue on ripe skin, and largest depth of such a pixel, metres
+_NEAR, _MIN_PIXELS = 0.03, 8  # metres from where a fruit was expected to its skin, and number of pixels that find it
+_FITS, _MAX_SHIFT = 4, 0.02  # Gauss-Newton steps, and metres by which a fruit moves between images at most
+_PEDICEL, _BESIDE = 0.012, 0.05  # metres from a fruit to its rachis where no stem is known, and within which one counts
+
+
+class FruitMap:
+    """Ripe fruit with their current positions; points are in the scene, metres.
+
+    Args:
+        scene: The scene as it was scanned.
+
+    Attributes:
+        centers: (n, 3) middles of the scene's tomatoes.
+        radii: (n,) their radii.
+        hanging: (n,) whether they still hang, as far as it is known.
+    """
+
+    def __init__(self, scene: Scene):
+        self.centers = np.array([tomato.center for tomato in scene.tomatoes]).reshape(-1, 3)
+        self.radii = np.array([tomato.radius for tomato in scene.tomatoes])
+        self.hanging = np.ones(len(self.radii), dtype=np.bool_)
+        rachises = [stem for stem in scene.stems if stem.kind == "peduncle"]
+        points = np.array([at for stem in rachises for at in (stem.start, stem.end)]).reshape(-1, 3)
+        self._joints = self.centers + np.array([0.0, 0.0, 1.0]) * (self.radii + _PEDICEL)[:, None]
+        if len(points):
+            apart = cdist(self._joints, points)
+            nearest = apart.argmin(axis=1)
+            beside = apart.min(axis=1) < _BESIDE
+            self._joints[beside] = points[nearest[beside]]
+        self._joints -= self.centers
+
+    def joint(self, fruit: int) -> Array:
+        """Return the presumed start (3,) of a fruit's pedicel."""
+        return np.asarray(self.centers[fruit] + self._joints[fruit])
+
+    def see(self, points: Array, color: npt.NDArray[np.uint8], depth: Array) -> None:
+        """Follow the fruit that an image shows.
+
+        Args:
+            points: (m, 3) points at the pixels.
+            color: (m, 3) their colors.
+            depth: (m,) their depths; 0 without a reading.
+        """
+        red, green, blue = color.astype(np.float64).T
+        skin = points[(depth > 0) & (depth < _FAR) & (red > _RED * green) & (red > _RED * blue)]
+        left = np.flatnonzero(self.hanging)
+        if not len(skin) or not len(left):
+            return
+        gaps = np.abs(cdist(skin, self.centers[left]) - self.radii[left])
+        owner, near = gaps.argmin(axis=1), gaps.min(axis=1) < _NEAR
+        for k, fruit in enumerate(left.tolist()):
+            own = skin[near & (owner == k)]
+            if len(own) >= _MIN_PIXELS:
+                self._fit(fruit, own)
+
+    def _fit(self, fruit: int, points: Array) -> None:
+        """Move a fruit so that points (k, 3) lie on its skin."""
+        center = self.centers[fruit].copy()
+        for _ in range(_FITS):
+            offsets = center - points
+            lengths = np.maximum(np.linalg.norm(offsets, axis=1), 1e-6)
+            rows = offsets / lengths[:, None]
+            misfit = self.radii[fruit] - lengths
+            # a weak pull to where it was keeps what a narrow view does not show
+            center += np.linalg.solve(rows.T @ rows + 0.1 * np.eye(3), rows.T @ misfit)
+        shift = center - self.centers[fruit]
+        self.centers[fruit] += shift * min(1.0, _MAX_SHIFT / max(float(np.linalg.norm(shift)), 1e-9))
