@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.agents.agent import NamedAgent, Problem
+from greenhouse_gym.agents.agent import NamedAgent, Problem, action_towards
 from greenhouse_gym.agents.fruit_map import FruitMap
 from greenhouse_gym.agents.occupancy_map import wrist_camera
 from greenhouse_gym.agents.picking import (
@@ -26,11 +26,13 @@ from greenhouse_gym.agents.picking import (
     withdraw,
 )
 from greenhouse_gym.agents.planner_agent import safe_commands
+from greenhouse_gym.crops.parts import SpaceBox
 from greenhouse_gym.envs.features import feature_slices
 from greenhouse_gym.envs.image_observations import RgbObservation
 from greenhouse_gym.envs.tasks.harvest import TomatoHarvest
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.geometry import Array, Box, pose, rotation_about
+from greenhouse_gym.geometry import Array, distance_to_nearest, pose, rotation_about
+from greenhouse_gym.motion.collision import CollisionChecker, planning_model
 from greenhouse_gym.motion.unknown_space import guarded
 from greenhouse_gym.planning import plan
 from greenhouse_gym.plants.mechanics import GRAVITY, PlantMechanics
@@ -48,10 +50,11 @@ IMAGE = (64, 48)
 _CHECKS, _GOALS = 40_000, 30  # collision checks of a plan, and configurations at a fruit
 _SCENES = (("rigid", 0.04), ("brush", 0.04), ("brush", 0.0))  # how leaves are planned with, and metres around the crate
 _TRIES = 3  # picks of a fruit before it is given up
-_RETURN = 24  # actions by which the arm goes back the way it came after a pick that failed
-_ATTEMPTS = 3  # withdrawals until there is a path to the crate
+_BACK = 10  # actions by which the arm goes back the way it came where there is no path
+_CLEAR, _REACHED = 0.12, 0.01  # metres from plants at which the arm is clear of them; radians from a waypoint
 _DROPS = 3  # actions to let go
 _ABOVE = 0.02  # metres above the rim of the crate
+_GUARD = 0.005  # metres from which the arm keeps from itself, its cart, the crate and strings
 _EVERY = 2  # actions from one image to the next that is read
 _FREE_FORCE, _TURNED = 1.0, 8  # N that a fruit pulls beyond its weight when it is off, and actions until this counts
 
@@ -114,7 +117,7 @@ class _SensedHand:
         self._camera = DepthCamera("wrist", *IMAGE)
         spec = RgbObservation(self._camera, depth=True)(problem.robot, TomatoHarvest())
         self._features = feature_slices(spec.layout)
-        self._turn = rotation_about([0, 0, 1], problem.scene.placement.yaw)
+        self.turn = rotation_about([0, 0, 1], problem.scene.placement.yaw)
         self._base = base_position(problem.scene, problem.robot)
         self._age, self._turned = 0, 0
         self.parting = False
@@ -131,8 +134,8 @@ class _SensedHand:
         self.command = np.clip(self.joints + value("command_error"), robot.lower, robot.upper)
         self._state = tool_state(self.chain, self.joints[None])
         self.holds = value("gripper")[0] > 0
-        self._force = self._turn @ value("wrist_force")
-        self.crate = self.tip[0] + self._turn @ value("crate_offset")
+        self._force = self.turn @ value("wrist_force")
+        self.crate = self.tip[0] + self.turn @ value("crate_offset")
         self.left = int(round(value("fruit")[1]))
         if self._age % _EVERY == 0:
             turn, origin = (poses[0] for poses in wrist_camera(self.chain, self.joints[None]))
@@ -199,6 +202,7 @@ class _Harvest:
         self._tries: dict[int, int] = dict.fromkeys(problem.targets, 0)
         self._trail: list[Array] = []
         self._picked = 0
+        self._checker: CollisionChecker | None = None
 
     def run(self) -> Iterator[Action]:
         """Yield the actions, at last without end."""
@@ -219,54 +223,66 @@ class _Harvest:
         hand = self._hand
         hand.working, hand.parting = fruit, False
         for leaves, around in _SCENES:
-            scene = self._scene(around)
-            commands = self._commands(scene, fruit, self._robot, _GOALS, leaves)
+            commands = self._commands(self._scene(around), fruit, self._robot, _GOALS, leaves)
             if commands is not None:
                 break
         else:
+            yield from self._retrace(False, _BACK)
             return
-        self._trail = [hand.command, *commands]
         yield from self._follow(commands, False)
-        for twist in close_gap(hand, fruit):
-            yield self._action(hand.towards(twist), True)
-        if not hand.holds:
-            yield from self._go_back()
-            return
-        hand.begin(fruit)
-        axes = list(turns(hand, fruit))
-        for twist in part(hand, fruit, axes[self._tries[fruit] % len(axes)]):
-            yield self._action(hand.towards(twist), True)
-        yield from self._deliver(fruit)
-        hand.parting = False
+        yield from self._move(close_gap(hand, fruit))
+        if hand.holds:
+            hand.begin(fruit)
+            axes = list(turns(hand, fruit))
+            yield from self._move(part(hand, fruit, axes[self._tries[fruit] % len(axes)]))
+            yield from self._move(withdraw(hand, retreats(hand)[self._tries[fruit]]))
+            hand.parting = False
+        if hand.holds:
+            hand.fruit.hanging[fruit] = False
+            yield from self._deliver(fruit)
+        else:
+            yield from self._retrace(False)
 
     def _deliver(self, fruit: int) -> Iterator[Action]:
+        """Bring a fruit back the way the arm came, and from there to the crate."""
         hand = self._hand
-        loaded = with_fruit(self._robot, hand.radius(fruit))
-        for attempt in range(_ATTEMPTS):
-            directions = retreats(hand)
-            for twist in withdraw(hand, directions[attempt % len(directions)]):
-                yield self._action(hand.towards(twist), True)
-            if not hand.holds:
-                yield from self._go_back()
-                return
-            hand.fruit.hanging[fruit] = False
-            scene, point = self._scene(0.0), self._above_crate()
-            goals = pointing_down(hand.chain, self._robot, hand.command, point, self._problem.seed)
-            for leaves in ("rigid", "brush"):
-                commands = self._commands(scene, self._farthest(scene), loaded, goals, leaves)
-                if commands is not None:
-                    yield from self._follow(commands, True)
-                    self._picked += hand.holds
-                    for _ in range(_DROPS):
-                        yield self._action(np.zeros(len(hand.command)), False)
-                    return
+        loaded, scene = with_fruit(self._robot, hand.radius(fruit)), self._scene(0.0)
+        yield from self._retrace(True)
+        while hand.holds:
+            goals = pointing_down(hand.chain, self._robot, hand.command, self._above_crate(), self._problem.seed)
+            commands = self._commands(scene, self._farthest(scene), loaded, goals, "rigid")
+            if commands is not None:
+                yield from self._follow(commands, True)
+                break
+            if len(self._trail) < 2:
+                break
+            yield from self._retrace(True, _BACK)
+        self._picked += hand.holds
+        for _ in range(_DROPS if hand.holds else 0):
+            yield self._action(np.zeros(len(hand.command)), False)
 
-    def _go_back(self) -> Iterator[Action]:
-        """Go back some of the way on which the arm came."""
-        yield from self._follow(self._trail[::-1][:_RETURN], False)
+    def _retrace(self, vacuum: bool, steps: int | None = None) -> Iterator[Action]:
+        """Go back the way the arm came until it is clear of the plants, or for a number of actions."""
+        hand, plants = self._hand, self._scene(0.0).arrays
+        if not self._trail:
+            return
+        apart = np.abs(np.array(self._trail) - hand.command).max(axis=1)
+        del self._trail[int(apart.argmin()) + 1 :]
+        done = 0
+        while self._trail and done != steps and hand.holds >= vacuum:
+            tip, axis = hand.tip
+            ahead = tip + axis * (hand.radius(hand.working) if vacuum else 0.0)
+            if steps is None and distance_to_nearest(ahead[None], plants, 1.0)[0] > _CLEAR:
+                return
+            action = action_towards(self._trail[-1], hand.command, self._problem.joint_steps)
+            if np.abs(self._trail[-1] - hand.command).max() < _REACHED:
+                self._trail.pop()
+                continue
+            done += 1
+            yield np.append(action, 1.0 if vacuum else -1.0).astype(np.float32)
 
     def _above_crate(self) -> Array:
-        return np.asarray(self._hand.crate + self._hand._turn @ np.append(spot(self._picked), _ABOVE))
+        return np.asarray(self._hand.crate + self._hand.turn @ np.append(spot(self._picked), _ABOVE))
 
     def _farthest(self, scene: Scene) -> int:
         tip, _ = self._hand.tip
@@ -286,8 +302,37 @@ class _Harvest:
         kind = "brush" if leaves == "brush" and result.brushed_leaves else "rigid"
         return list(safe_commands(scene, target, result.path, replace(self._problem, robot=arm), kind))
 
+    def _move(self, twists: Iterator[Twist]) -> Iterator[Action]:
+        """Move the tip with vacuum, as far as the arm touches neither itself, nor its cart, the crate or a string."""
+        hand = self._hand
+        for twist in twists:
+            change = hand.towards(twist)
+            if not self._guard().is_free(np.clip(hand.command + change, self._robot.lower, self._robot.upper)):
+                return
+            yield self._action(change, True)
+
+    def _guard(self) -> CollisionChecker:
+        if self._checker is None:
+            scene = self._problem.scene
+            strings = tuple(stem for stem in scene.stems if stem.kind == "string")
+            known = scene.model_copy(
+                update={"stems": strings, "clutter": self._crate(0.0), "targets": (), "truth": None, "occupancy": None}
+            )
+            compiled = guarded(known, self._robot, self._problem.start, np.inf)
+            model = planning_model(compiled, 0, _GUARD, pairs=("stems", "clutter", "fixture", "self"))
+            self._checker = CollisionChecker(model)
+        return self._checker
+
+    def _crate(self, around: float) -> tuple[SpaceBox, ...]:
+        """Return the walls of the crate, thickened by some metres."""
+        crate, turn = self._problem.crate, self._hand.turn
+        assert crate is not None
+        middle = self._hand.crate - [0.0, 0.0, 2 * crate.half_extents[2]]
+        return tuple(SpaceBox(turn @ at + middle, half + around, turn) for at, half in crate.boxes)
+
     def _follow(self, commands: list[Array], vacuum: bool) -> Iterator[Action]:
         for command in commands:
+            self._trail.append(self._hand.command)
             yield self._action(command - self._hand.command, vacuum)
             if vacuum and not self._hand.holds:
                 return
@@ -298,17 +343,13 @@ class _Harvest:
 
     def _scene(self, around: float) -> Scene:
         """Return the scan with its fruit where they are now, and the crate."""
-        scene, fruit, crate = self._problem.scene, self._hand.fruit, self._problem.crate
-        assert crate is not None
+        scene, fruit = self._problem.scene, self._hand.fruit
         tomatoes = []
         for k, tomato in enumerate(scene.tomatoes):
             # one that is off keeps its number, and is out of the way
             center = fruit.centers[k] if fruit.hanging[k] else np.array([0.0, 0.0, 9.0 + k])
             tomatoes.append(tomato.transformed(pose(translation=center - tomato.center)))
-        turn = self._hand._turn
-        middle = self._hand.crate - [0.0, 0.0, 2 * crate.half_extents[2]]
-        boxes = [Box(turn @ at + middle, half + around, turn) for at, half in crate.boxes]
-        clutter = (*scene.clutter, *boxes)
+        clutter = (*scene.clutter, *self._crate(around))
         return scene.model_copy(
             update={"tomatoes": tuple(tomatoes), "clutter": clutter, "targets": (), "truth": None, "occupancy": None}
         )
