@@ -11,12 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.agents.agent import NamedAgent, Problem, action_towards
-from greenhouse_gym.agents.fruit_map import FruitMap
-from greenhouse_gym.agents.occupancy_map import wrist_camera
 from greenhouse_gym.agents.picking import (
     Twist,
     close_gap,
-    joint_change,
     part,
     pointing_down,
     retreats,
@@ -26,21 +23,19 @@ from greenhouse_gym.agents.picking import (
     withdraw,
 )
 from greenhouse_gym.agents.planner_agent import safe_commands
+from greenhouse_gym.agents.sensed_hand import ImaginedHand, SensedHand
 from greenhouse_gym.crops.parts import SpaceBox
-from greenhouse_gym.envs.features import feature_slices
 from greenhouse_gym.envs.image_observations import RgbObservation
-from greenhouse_gym.envs.tasks.harvest import TomatoHarvest
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.geometry import Array, distance_to_nearest, pose, rotation_about
+from greenhouse_gym.geometry import Array, Sphere, arrays_of, distance_to_nearest, pose
+from greenhouse_gym.motion.arm_spheres import arm_spheres
 from greenhouse_gym.motion.collision import CollisionChecker, planning_model
 from greenhouse_gym.motion.unknown_space import guarded
 from greenhouse_gym.planning import plan
-from greenhouse_gym.plants.mechanics import GRAVITY, PlantMechanics
-from greenhouse_gym.rendering.cameras import MAX_RANGE, DepthCamera
+from greenhouse_gym.rendering.cameras import DepthCamera
 from greenhouse_gym.robots import Robot
-from greenhouse_gym.robots.kinematics import tool_chain, tool_state
+from greenhouse_gym.robots.kinematics import tool_state
 from greenhouse_gym.scene import Scene
-from greenhouse_gym.scene.mjcf import base_position
 
 Action = npt.NDArray[np.float32]
 
@@ -48,15 +43,16 @@ IMAGE = (64, 48)
 """Width and height of the camera's images, pixels."""
 
 _CHECKS, _GOALS = 40_000, 30  # collision checks of a plan, and configurations at a fruit
-_SCENES = (("rigid", 0.04), ("brush", 0.04), ("brush", 0.0))  # how leaves are planned with, and metres around the crate
+_SCENES = (("rigid", 0.04, 0.012), ("rigid", 0.04, 0.0), ("brush", 0.04, 0.0), ("brush", 0.0, 0.0))
+"""Ways to plan: how leaves count, and metres that the crate, and other fruit and stems, are thickened by."""
 _TRIES = 3  # picks of a fruit before it is given up
 _BACK = 10  # actions by which the arm goes back the way it came where there is no path
 _CLEAR, _REACHED = 0.12, 0.01  # metres from plants at which the arm is clear of them; radians from a waypoint
 _DROPS = 3  # actions to let go
+_KEPT, _LARGEST = 0.008, 0.1  # metres that turning and withdrawing keep from known fruit and stems; largest radius
+_LIFTS = 6  # actions by which the arm goes back after it has let go
 _ABOVE = 0.02  # metres above the rim of the crate
 _GUARD = 0.005  # metres from which the arm keeps from itself, its cart, the crate and strings
-_EVERY = 2  # actions from one image to the next that is read
-_FREE_FORCE, _TURNED = 1.0, 8  # N that a fruit pulls beyond its weight when it is off, and actions until this counts
 
 
 class ScanHarvester(NamedAgent):
@@ -79,7 +75,7 @@ class ScanHarvester(NamedAgent):
 
     def __init__(self, name: str = "harvest-scan"):
         self.name, self.status = name, ""
-        self._hand: _SensedHand | None = None
+        self._hand: SensedHand | None = None
         self._script: Iterator[Action] = iter(())
 
     def reset(self, problem: Problem) -> None:
@@ -90,7 +86,7 @@ class ScanHarvester(NamedAgent):
         """
         if problem.crate is None:
             raise InvalidValueError(f'agent {self.name!r} needs task="harvest"')
-        self.status, self._hand = "", _SensedHand(problem)
+        self.status, self._hand = "", SensedHand(problem, IMAGE)
         self._script = _Harvest(problem, self._hand).run()
 
     def act(self, observation: Any) -> Action:
@@ -101,103 +97,10 @@ class ScanHarvester(NamedAgent):
         return next(self._script)
 
 
-class _SensedHand:
-    """Tool and fruit by the readings of the arm; stands in for `greenhouse_gym.agents.picking.Hand`.
-
-    Args:
-        problem: The episode.
-    """
-
-    def __init__(self, problem: Problem):
-        self._problem, self.interval = problem, problem.interval
-        compiled = guarded(problem.scene, problem.robot, problem.start, np.inf)
-        self.chain = tool_chain(compiled.model, compiled.tip_site)
-        self.fruit = FruitMap(problem.scene)
-        self.working = -1
-        self._camera = DepthCamera("wrist", *IMAGE)
-        spec = RgbObservation(self._camera, depth=True)(problem.robot, TomatoHarvest())
-        self._features = feature_slices(spec.layout)
-        self.turn = rotation_about([0, 0, 1], problem.scene.placement.yaw)
-        self._base = base_position(problem.scene, problem.robot)
-        self._age, self._turned = 0, 0
-        self.parting = False
-
-    def sense(self, observation: Mapping[str, Any]) -> None:
-        """Take over an observation."""
-        state = observation["state"].astype(np.float64)
-
-        def value(name: str) -> Array:
-            return np.asarray(state[self._features[name]])
-
-        robot = self._problem.robot
-        self.joints = value("joint_position")
-        self.command = np.clip(self.joints + value("command_error"), robot.lower, robot.upper)
-        self._state = tool_state(self.chain, self.joints[None])
-        self.holds = value("gripper")[0] > 0
-        self._force = self.turn @ value("wrist_force")
-        self.crate = self.tip[0] + self.turn @ value("crate_offset")
-        self.left = int(round(value("fruit")[1]))
-        if self._age % _EVERY == 0:
-            turn, origin = (poses[0] for poses in wrist_camera(self.chain, self.joints[None]))
-            depth = (observation["depth"][0] * MAX_RANGE).reshape(-1).astype(np.float64)
-            points = origin + depth[:, None] * (self._camera.rays @ turn.T)
-            self.fruit.see(points, observation["rgb"].reshape(3, -1).T, depth)
-        self._age += 1
-        if self.parting:
-            self._turned += 1
-            if self._turned > _TURNED and np.linalg.norm(self.force) < _FREE_FORCE:
-                self.fruit.hanging[self.working] = False
-
-    def begin(self, fruit: int) -> None:
-        """Begin to turn a fruit off."""
-        self.working, self.parting, self._turned = fruit, True, 0
-
-    @property
-    def held(self) -> int:
-        """Fruit in the cup, or -1."""
-        return self.working if self.holds else -1
-
-    @property
-    def tip(self) -> tuple[Array, Array]:
-        """Position (3,) and direction (3,) of the tool in the scene."""
-        return self._state.point[0], self._state.axis[0]
-
-    @property
-    def force(self) -> Array:
-        """(3,) force of the held fruit on the cup beyond its weight, N, in the scene."""
-        mass = PlantMechanics().density * 4 / 3 * np.pi * self.radius(self.working) ** 3 if self.holds else 0.0
-        return np.asarray(self._force + [0.0, 0.0, GRAVITY * mass])
-
-    def center(self, fruit: int) -> Array:
-        """Return the middle (3,) of a fruit; a held one is at the cup."""
-        if self.holds and fruit == self.working:
-            tip, axis = self.tip
-            return np.asarray(tip + self.radius(fruit) * axis)
-        return np.asarray(self.fruit.centers[fruit])
-
-    def radius(self, fruit: int) -> float:
-        """Return the radius of a fruit, metres."""
-        return float(self.fruit.radii[fruit])
-
-    def joint(self, fruit: int) -> Array:
-        """Return the presumed start (3,) of a fruit's pedicel."""
-        return self.fruit.joint(fruit)
-
-    def hanging(self) -> list[int]:
-        """Return the fruit that hang."""
-        hanging: list[int] = np.flatnonzero(self.fruit.hanging).tolist()
-        return hanging
-
-    def towards(self, twist: Twist) -> Array:
-        """Return the change (j,) of the commands for a motion of the tip."""
-        jacobian = np.concatenate([self._state.jacobian[0], self._state.joint_axes[0]])
-        return joint_change(jacobian, twist, self.interval, self._problem.joint_steps)
-
-
 class _Harvest:
     """Actions of an episode; each is decided when it is due, by what the hand has sensed until then."""
 
-    def __init__(self, problem: Problem, hand: _SensedHand):
+    def __init__(self, problem: Problem, hand: SensedHand):
         self._problem, self._hand, self._robot = problem, hand, problem.robot
         self._tries: dict[int, int] = dict.fromkeys(problem.targets, 0)
         self._trail: list[Array] = []
@@ -222,8 +125,9 @@ class _Harvest:
     def _pick(self, fruit: int) -> Iterator[Action]:
         hand = self._hand
         hand.working, hand.parting = fruit, False
-        for leaves, around in _SCENES:
-            commands = self._commands(self._scene(around), fruit, self._robot, _GOALS, leaves)
+        for leaves, around, apart in _SCENES:
+            scene = self._scene(around, apart, fruit)
+            commands = self._commands(scene, fruit, self._robot, _GOALS, leaves)
             if commands is not None:
                 break
         else:
@@ -233,15 +137,48 @@ class _Harvest:
         yield from self._move(close_gap(hand, fruit))
         if hand.holds:
             hand.begin(fruit)
-            axes = list(turns(hand, fruit))
-            yield from self._move(part(hand, fruit, axes[self._tries[fruit] % len(axes)]))
-            yield from self._move(withdraw(hand, retreats(hand)[self._tries[fruit]]))
+            axis, direction = self._choose(fruit)
+            yield from self._move(part(hand, fruit, axis))
+            yield from self._move(withdraw(hand, retreats(hand)[direction]))
             hand.parting = False
         if hand.holds:
             hand.fruit.hanging[fruit] = False
             yield from self._deliver(fruit)
         else:
             yield from self._retrace(False)
+
+    def _choose(self, fruit: int) -> tuple[Array, int]:
+        """Return the axis to turn a held fruit about and the number of the direction to withdraw in.
+
+        Both are imagined among the fruit and stems that are known; the choice keeps most away from them, and gets
+        worse with every try.
+        """
+        hand, scene = self._hand, self._scene(0.0)
+        others = [tomato for k, tomato in enumerate(scene.tomatoes) if k != fruit]
+        near = arrays_of([*(tomato.shape for tomato in others), *scene.stems])
+        arm, costs = arm_spheres(self._robot), []
+        for k, axis in enumerate(turns(hand, fruit)):
+            for direction in range(len(retreats(hand))):
+                imagined = ImaginedHand(hand, self._problem)
+                imagined.move(part(imagined, fruit, axis))
+                imagined.move(withdraw(imagined, retreats(imagined)[direction]))
+                path = np.array(imagined.path)
+                links = arm.centers(path)[:, arm.moving] @ hand.turn.T + hand.base
+                state = tool_state(hand.chain, path)
+                held = state.point + hand.radius(fruit) * state.axis
+                gaps = distance_to_nearest(links.reshape(-1, 3), near, _KEPT + _LARGEST).reshape(links.shape[:2])
+                gap = np.append(
+                    (gaps - arm.radius[arm.moving]).min(axis=1),
+                    distance_to_nearest(held, near, _KEPT + _LARGEST) - hand.radius(fruit),
+                )
+                stopped = not all(self._guard().is_free(self._robot_clip(q)) for q in path)
+                costs.append((float(np.maximum(_KEPT - gap, 0.0).sum()) + stopped, len(costs), axis, direction))
+        costs.sort(key=lambda cost: cost[:2])
+        *_, axis, direction = costs[min(self._tries[fruit], len(costs) - 1)]
+        return axis, direction
+
+    def _robot_clip(self, configuration: Array) -> Array:
+        return np.clip(configuration, self._robot.lower, self._robot.upper)
 
     def _deliver(self, fruit: int) -> Iterator[Action]:
         """Bring a fruit back the way the arm came, and from there to the crate."""
@@ -258,8 +195,10 @@ class _Harvest:
                 break
             yield from self._retrace(True, _BACK)
         self._picked += hand.holds
-        for _ in range(_DROPS if hand.holds else 0):
-            yield self._action(np.zeros(len(hand.command)), False)
+        if hand.holds:
+            for _ in range(_DROPS):
+                yield self._action(np.zeros(len(hand.command)), False)
+            yield from self._retrace(False, _LIFTS)
 
     def _retrace(self, vacuum: bool, steps: int | None = None) -> Iterator[Action]:
         """Go back the way the arm came until it is clear of the plants, or for a number of actions."""
@@ -288,9 +227,7 @@ class _Harvest:
         tip, _ = self._hand.tip
         return int(np.argmax([np.linalg.norm(tomato.center - tip) for tomato in scene.tomatoes]))
 
-    def _commands(
-        self, scene: Scene, target: int, arm: Robot, goals: int | Array, leaves: str
-    ) -> list[Array] | None:
+    def _commands(self, scene: Scene, target: int, arm: Robot, goals: int | Array, leaves: str) -> list[Array] | None:
         """Return the commands along a planned path; None without one."""
         hand, start = self._hand, np.clip(self._hand.command, arm.lower, arm.upper)
         seed = self._problem.seed + self._picked + 31 * max(self._tries.values())
@@ -307,7 +244,7 @@ class _Harvest:
         hand = self._hand
         for twist in twists:
             change = hand.towards(twist)
-            if not self._guard().is_free(np.clip(hand.command + change, self._robot.lower, self._robot.upper)):
+            if not self._guard().is_free(self._robot_clip(hand.command + change)):
                 return
             yield self._action(change, True)
 
@@ -341,15 +278,32 @@ class _Harvest:
         arm = np.clip(change / self._problem.joint_steps, -1, 1)
         return np.append(arm, 1.0 if vacuum else -1.0).astype(np.float32)
 
-    def _scene(self, around: float) -> Scene:
-        """Return the scan with its fruit where they are now, and the crate."""
+    def _scene(self, around: float, apart: float = 0.0, target: int = -1) -> Scene:
+        """Return the scan with its fruit where they are now, and the crate.
+
+        Args:
+            around: Metres by which the crate is thickened.
+            apart: Metres by which fruit except the target, and stems, are thickened.
+            target: The target.
+        """
         scene, fruit = self._problem.scene, self._hand.fruit
         tomatoes = []
         for k, tomato in enumerate(scene.tomatoes):
             # one that is off keeps its number, and is out of the way
             center = fruit.centers[k] if fruit.hanging[k] else np.array([0.0, 0.0, 9.0 + k])
-            tomatoes.append(tomato.transformed(pose(translation=center - tomato.center)))
+            tomato = tomato.transformed(pose(translation=center - tomato.center))
+            if apart and k != target:
+                tomato = replace(tomato, shape=Sphere(center, tomato.radius + apart))
+            tomatoes.append(tomato)
+        stems = tuple(replace(stem, radius=stem.radius + apart) for stem in scene.stems) if apart else scene.stems
         clutter = (*scene.clutter, *self._crate(around))
         return scene.model_copy(
-            update={"tomatoes": tuple(tomatoes), "clutter": clutter, "targets": (), "truth": None, "occupancy": None}
+            update={
+                "tomatoes": tuple(tomatoes),
+                "stems": stems,
+                "clutter": clutter,
+                "targets": (),
+                "truth": None,
+                "occupancy": None,
+            }
         )
