@@ -9,9 +9,9 @@ from scipy.spatial.distance import cdist
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.scene import Scene
 
-_RED, _FAR = 1.5, 1.2  # red over green and blue on ripe skin, and largest depth of such a pixel, metres
-_NEAR, _MIN_PIXELS = 0.03, 8  # metres from where a fruit was expected to its skin, and number of pixels that find it
-_FITS, _MAX_SHIFT = 4, 0.02  # Gauss-Newton steps, and metres by which a fruit moves between images at most
+_RED, _FAR = 1.5, 0.7  # red over green and blue on ripe skin, and largest depth of such a pixel, metres
+_NEAR, _MIN_PIXELS = 0.02, 8  # metres from where a fruit was expected to its skin, and number of pixels that find it
+_FITS, _FIT, _KEPT = 6, 0.002, 0.9  # Gauss-Newton steps, metres by which skin misses a sphere, fraction that is kept
 _PEDICEL, _BESIDE = 0.012, 0.05  # metres from a fruit to its rachis where no stem is known, and within which one counts
 
 
@@ -62,18 +62,27 @@ class FruitMap:
         owner, near = gaps.argmin(axis=1), gaps.min(axis=1) < _NEAR
         for k, fruit in enumerate(left.tolist()):
             own = skin[near & (owner == k)]
-            if len(own) >= _MIN_PIXELS:
-                self._fit(fruit, own)
+            center = fitted_center(own, self.centers[fruit], self.radii[fruit])
+            if center is not None:
+                self.centers[fruit] = center
 
-    def _fit(self, fruit: int, points: Array) -> None:
-        """Move a fruit so that points (k, 3) lie on its skin."""
-        center = self.centers[fruit].copy()
-        for _ in range(_FITS):
-            offsets = center - points
-            lengths = np.maximum(np.linalg.norm(offsets, axis=1), 1e-6)
-            rows = offsets / lengths[:, None]
-            misfit = self.radii[fruit] - lengths
-            # a weak pull to where it was keeps what a narrow view does not show
-            center += np.linalg.solve(rows.T @ rows + 0.1 * np.eye(3), rows.T @ misfit)
-        shift = center - self.centers[fruit]
-        self.centers[fruit] += shift * min(1.0, _MAX_SHIFT / max(float(np.linalg.norm(shift)), 1e-9))
+
+def fitted_center(points: Array, center: Array, radius: float) -> Array | None:
+    """Return the middle (3,) of a sphere of a known radius with points (k, 3) on its surface; None if they do not fit.
+
+    Args:
+        points: Points, metres; some may belong to other things.
+        center: Where the middle was.
+        radius: Metres.
+    """
+    for _ in range(_FITS):
+        if len(points) < _MIN_PIXELS:
+            return None
+        offsets = center - points
+        lengths = np.maximum(np.linalg.norm(offsets, axis=1), 1e-6)
+        rows, misfit = offsets / lengths[:, None], radius - lengths
+        # a weak pull to where it was keeps what a narrow view does not show
+        center = center + np.linalg.solve(rows.T @ rows + 0.1 * np.eye(3), rows.T @ misfit)
+        misfit = np.abs(np.linalg.norm(points - center, axis=1) - radius)
+        points = points[misfit <= max(_FIT, float(np.quantile(misfit, _KEPT)))]
+    return center if float(misfit.max()) < 2 * _FIT else None
