@@ -12,6 +12,7 @@ from greenhouse_gym.scene import Scene
 _RED, _FAR = 1.5, 0.7  # red over green and blue on ripe skin, and largest depth of such a pixel, metres
 _NEAR, _MIN_PIXELS = 0.02, 8  # metres from where a fruit was expected to its skin, and number of pixels that find it
 _FITS, _FIT, _KEPT = 6, 0.002, 0.9  # Gauss-Newton steps, metres by which skin misses a sphere, fraction that is kept
+_JUMP = 0.7  # radii by which a fruit moves between images at most; its neighbor hangs farther away
 _PEDICEL, _BESIDE = 0.012, 0.05  # metres from a fruit to its rachis where no stem is known, and within which one counts
 
 
@@ -63,7 +64,8 @@ class FruitMap:
         for k, fruit in enumerate(left.tolist()):
             own = skin[near & (owner == k)]
             center = fitted_center(own, self.centers[fruit], self.radii[fruit])
-            if center is not None:
+            jump = np.inf if center is None else float(np.linalg.norm(center - self.centers[fruit]))
+            if center is not None and jump < _JUMP * self.radii[fruit]:
                 self.centers[fruit] = center
 
 

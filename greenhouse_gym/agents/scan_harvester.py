@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +22,7 @@ from greenhouse_gym.agents.picking import (
     with_fruit,
     withdraw,
 )
-from greenhouse_gym.agents.planner_agent import safe_commands
+from greenhouse_gym.agents.planner_agent import default_margin, default_unknown, safe_commands
 from greenhouse_gym.agents.sensed_hand import ImaginedHand, SensedHand
 from greenhouse_gym.crops.parts import SpaceBox
 from greenhouse_gym.envs.image_observations import RgbObservation
@@ -39,12 +39,32 @@ from greenhouse_gym.scene import Scene
 
 Action = npt.NDArray[np.float32]
 
+
+class _Level(NamedTuple):
+    """Caution of a plan.
+
+    Attributes:
+        leaves: How leaves count, see `greenhouse_gym.planning.plan`.
+        around: Metres by which the crate is thickened.
+        apart: Metres by which fruit except the target, and stems, are thickened.
+        cautious: Keep away from leaves and out of space that the scan did not see.
+    """
+
+    leaves: str
+    around: float
+    apart: float
+    cautious: bool
+
+
 IMAGE = (64, 48)
 """Width and height of the camera's images, pixels."""
 
 _CHECKS, _GOALS = 40_000, 30  # collision checks of a plan, and configurations at a fruit
-_SCENES = (("rigid", 0.04, 0.012), ("rigid", 0.04, 0.0), ("brush", 0.04, 0.0), ("brush", 0.0, 0.0))
-"""Ways to plan: how leaves count, and metres that the crate, and other fruit and stems, are thickened by."""
+_LEVELS = (
+    _Level("rigid", 0.04, 0.012, True), _Level("rigid", 0.04, 0.0, True), _Level("rigid", 0.04, 0.0, False),
+    _Level("brush", 0.04, 0.0, False), _Level("brush", 0.0, 0.0, False),
+)  # fmt: skip
+_FIRST = 3  # levels of the first try of a fruit
 _TRIES = 3  # picks of a fruit before it is given up
 _BACK = 10  # actions by which the arm goes back the way it came where there is no path
 _CLEAR, _REACHED = 0.12, 0.01  # metres from plants at which the arm is clear of them; radians from a waypoint
@@ -125,9 +145,9 @@ class _Harvest:
     def _pick(self, fruit: int) -> Iterator[Action]:
         hand = self._hand
         hand.working, hand.parting = fruit, False
-        for leaves, around, apart in _SCENES:
-            scene = self._scene(around, apart, fruit)
-            commands = self._commands(scene, fruit, self._robot, _GOALS, leaves)
+        for level in _LEVELS if self._tries[fruit] else _LEVELS[:_FIRST]:
+            scene = self._scene(level.around, level.apart, fruit)
+            commands = self._commands(scene, fruit, self._robot, _GOALS, level)
             if commands is not None:
                 break
         else:
@@ -157,7 +177,7 @@ class _Harvest:
         others = [tomato for k, tomato in enumerate(scene.tomatoes) if k != fruit]
         near = arrays_of([*(tomato.shape for tomato in others), *scene.stems])
         arm, costs = arm_spheres(self._robot), []
-        for k, axis in enumerate(turns(hand, fruit)):
+        for axis in turns(hand, fruit):
             for direction in range(len(retreats(hand))):
                 imagined = ImaginedHand(hand, self._problem)
                 imagined.move(part(imagined, fruit, axis))
@@ -184,10 +204,11 @@ class _Harvest:
         """Bring a fruit back the way the arm came, and from there to the crate."""
         hand = self._hand
         loaded, scene = with_fruit(self._robot, hand.radius(fruit)), self._scene(0.0)
+        level = _Level("rigid", 0.0, 0.0, False)
         yield from self._retrace(True)
         while hand.holds:
             goals = pointing_down(hand.chain, self._robot, hand.command, self._above_crate(), self._problem.seed)
-            commands = self._commands(scene, self._farthest(scene), loaded, goals, "rigid")
+            commands = self._commands(scene, self._farthest(scene), loaded, goals, level)
             if commands is not None:
                 yield from self._follow(commands, True)
                 break
@@ -227,16 +248,19 @@ class _Harvest:
         tip, _ = self._hand.tip
         return int(np.argmax([np.linalg.norm(tomato.center - tip) for tomato in scene.tomatoes]))
 
-    def _commands(self, scene: Scene, target: int, arm: Robot, goals: int | Array, leaves: str) -> list[Array] | None:
+    def _commands(self, scene: Scene, target: int, arm: Robot, goals: int | Array, level: _Level) -> list[Array] | None:
         """Return the commands along a planned path; None without one."""
-        hand, start = self._hand, np.clip(self._hand.command, arm.lower, arm.upper)
+        start = np.clip(self._hand.command, arm.lower, arm.upper)
         seed = self._problem.seed + self._picked + 31 * max(self._tries.values())
+        scan = self._problem.scene
+        unknown, margin = (default_unknown(scan), default_margin(scan)) if level.cautious else ("free", 0.0)
         result = plan(
-            scene, target, arm, time_limit=None, max_checks=_CHECKS, goals=goals, seed=seed, start=start, leaves=leaves
-        )
+            scene, target, arm, time_limit=None, max_checks=_CHECKS, goals=goals, seed=seed, start=start,
+            unknown=unknown, margin=margin, leaves=level.leaves,
+        )  # fmt: skip
         if result.path is None:
             return None
-        kind = "brush" if leaves == "brush" and result.brushed_leaves else "rigid"
+        kind = "brush" if level.leaves == "brush" and result.brushed_leaves else "rigid"
         return list(safe_commands(scene, target, result.path, replace(self._problem, robot=arm), kind))
 
     def _move(self, twists: Iterator[Twist]) -> Iterator[Action]:
@@ -297,13 +321,5 @@ class _Harvest:
             tomatoes.append(tomato)
         stems = tuple(replace(stem, radius=stem.radius + apart) for stem in scene.stems) if apart else scene.stems
         clutter = (*scene.clutter, *self._crate(around))
-        return scene.model_copy(
-            update={
-                "tomatoes": tuple(tomatoes),
-                "stems": stems,
-                "clutter": clutter,
-                "targets": (),
-                "truth": None,
-                "occupancy": None,
-            }
-        )
+        parts = {"tomatoes": tuple(tomatoes), "stems": stems, "clutter": clutter, "targets": (), "truth": None}
+        return scene.model_copy(update=parts)

@@ -194,9 +194,7 @@ class CameraRig:
         def shoot(part: int) -> None:
             for i in range(part, len(models), len(self._casters)):
                 for k in range(len(self.cameras)):
-                    hits, directions = self._cast(
-                        self._casters[part], models[i], qpos[i], k, views[i, k], plants[i]
-                    )
+                    hits, directions = self._cast(self._casters[part], models[i], qpos[i], k, views[i, k], plants[i])
                     depths[i, k] = self._depth(hits, k).reshape(shape[2:])
                     if self._renders_geoms:
                         geoms[i, k] = hits.geom.reshape(shape[2:])

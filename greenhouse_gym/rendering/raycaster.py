@@ -98,7 +98,18 @@ class RayCaster:
             if len(shown):
                 plant = np.full(len(directions), -1)
                 moving = _geoms_of(model, plants, shown)
-                nearer_hits(origin, directions, reach, 0, len(shown), moving, _tree(model, shown, moving), distance, plant, normal)
+                nearer_hits(
+                    origin,
+                    directions,
+                    reach,
+                    0,
+                    len(shown),
+                    moving,
+                    _tree(model, shown, moving),
+                    distance,
+                    plant,
+                    normal,
+                )
                 geom = np.where(plant >= 0, (shown[plant] - world) % model.ngeom, geom)
         rgba = model.geom_rgba[(geom[: len(normal)] + world) % model.ngeom]
         return Hits(distance, geom, rgba, normal)
