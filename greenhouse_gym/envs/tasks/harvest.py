@@ -176,8 +176,10 @@ class TomatoHarvest(Task):
             fruit, problem = self._fruit(episode, sampler)
             if not problem:
                 shown = ripe_targets(episode.scene, self.ripe)
-                others = (k for k, one in shown.items() if one in fruit and k != episode.targets[0])
-                return replace(episode, targets=(episode.targets[0], *others), fruit=fruit)
+                targets = sorted(
+                    (k for k, one in shown.items() if one in fruit), key=lambda k: k not in episode.targets
+                )
+                return replace(episode, targets=tuple(targets), fruit=fruit)
         raise InvalidValueError(f"no episode of size {self.size!r} in {_DRAWS} draws; the last: {problem}")
 
     def _fruit(self, episode: Episode, sampler: EpisodeSampler) -> tuple[tuple[int, ...], str]:
