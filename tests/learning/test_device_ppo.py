@@ -60,9 +60,7 @@ def test_interrupted_training_of_limited_time_leaves_a_policy(tmp_path, monkeypa
     ticks = count()
     monkeypatch.setattr(device_ppo, "time", SimpleNamespace(monotonic=lambda: float(next(ticks))))
     with pytest.raises(KeyboardInterrupt):
-        train_ppo_on_device(
-            replace(SMALL, total_steps=10**9), tmp_path / "run", time_limit=3.5, on_progress=stop
-        )
+        train_ppo_on_device(replace(SMALL, total_steps=10**9), tmp_path / "run", time_limit=3.5, on_progress=stop)
     assert rates == [pytest.approx(SMALL.learning_rate * 0.5 / 3.5)]
     assert PolicyAgent.load(tmp_path / "run" / "policy").policy.training["algorithm"] == "PPO on a device"
 
@@ -72,6 +70,7 @@ def test_sizes_follow_the_device_and_sources_choose_the_rows():
     assert (DevicePpoSettings(device="cuda").num_envs, DevicePpoSettings(device="cuda").rollout_steps) == (4096, 24)
     assert DevicePpoSettings(num_envs=32).num_envs == 32
     assert (DevicePpoSettings().hidden, DevicePpoSettings(device="cuda").hidden) == ((128, 128), (256, 256))
+    assert (DevicePpoSettings().epochs, DevicePpoSettings(device="cuda").epochs) == (2, 4)
     training = DevicePpo(replace(SMALL, sources=("own",), action="tip_velocity"))
     bank = training.env.simulation.sampler.bank
     assert {entry.source for entry in bank.manifest.scenes} == {"own"}
