@@ -1,4 +1,4 @@
-"""PPO whose rollouts stay on the device of the Warp environment; on a GPU, rollouts and updates are CUDA graphs."""
+"""PPO with rollouts on the device of the Warp environment; on a GPU, rollouts and updates are CUDA graphs."""
 
 from __future__ import annotations
 
