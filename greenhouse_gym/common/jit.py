@@ -66,7 +66,9 @@ def kernel(signature: str, writes: Collection[str] = ()) -> Callable[[Function],
 
 def inlined(function: Function) -> Function:
     """Decorate a helper that kernels call; it is compiled as a part of them."""
-    result: Function = numba.njit(nogil=True, error_model="numpy")(function)
+    result: Function = numba.njit(nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)(
+        function
+    )
     return result
 
 

@@ -65,10 +65,11 @@ def _nearest(model: mujoco.MjModel, configurations: Array) -> Array:
     world = kernel_world(model)
     if world is None:
         return configurations
-    from greenhouse_gym.motion.clearance_kernels import smallest_gaps
+    from greenhouse_gym.motion.collision_kernels import GAPS, smallest_gaps
 
     gaps = np.empty(len(configurations))
     floor = -CLEARANCE_RANGE  # the depth inside an obstacle is left to MuJoCo
-    smallest_gaps(world, np.ascontiguousarray(configurations, dtype=np.float64), _SLACK, floor, gaps)
+    q, no_marks = np.ascontiguousarray(configurations, dtype=np.float64), np.empty(0, dtype=np.bool_)
+    smallest_gaps(world, q, GAPS, _SLACK, floor, gaps, no_marks)
     limit = max(gaps.min(initial=0.0), floor)
     return configurations[(gaps < 0.0) & (gaps <= limit + _SLACK)]
