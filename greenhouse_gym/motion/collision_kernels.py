@@ -56,7 +56,7 @@ def near(geoms, i, a, b, radius):
     if radius <= 0.0:
         return False
     kind, size = int(geoms[i, 0]), (geoms[i, 13], geoms[i, 14], geoms[i, 15])
-    if kind == _SPHERE or kind == _CAPSULE:
+    if _PLANE < kind <= _CAPSULE:  # a sphere or a capsule
         half, limit = 0.0 if kind == _SPHERE else size[1], radius + size[0]
         x, y, z = geoms[i, 6] * half, geoms[i, 9] * half, geoms[i, 12] * half
         c = (geoms[i, 1] - x, geoms[i, 2] - y, geoms[i, 3] - z)
@@ -79,7 +79,7 @@ def _distance(geoms, i, a, b):
     """Return the distance of the segment from a to b to a geom; inside a box it is 0."""
     kind, size = int(geoms[i, 0]), (geoms[i, 13], geoms[i, 14], geoms[i, 15])
     u, v = _local(a, geoms, i), _local(b, geoms, i)
-    if kind == _SPHERE or kind == _CAPSULE:
+    if _PLANE < kind <= _CAPSULE:  # a sphere or a capsule
         half = 0.0 if kind == _SPHERE else size[1]
         return math.sqrt(segments_apart(u, v, (0.0, 0.0, -half), (0.0, 0.0, half))) - size[0]
     if kind == _PLANE:
