@@ -14,7 +14,7 @@ from greenhouse_gym.common.tables import Table
 
 @dataclass(frozen=True)
 class DemoSettings:
-    """Size of the demo."""
+    """Sizes of the stages of the demo."""
 
     length: float = 2.0  # m of row
     training_bank: str = "default"

@@ -61,7 +61,7 @@ def smallest_clearance(
 
 
 def _nearest(model: mujoco.MjModel, configurations: Array) -> Array:
-    """Return those of some configurations (k, joints) that may be the nearest to a contact, by kernels if possible."""
+    """Return the configurations among (k, joints) that may be nearest to a contact, by kernels if possible."""
     world = kernel_world(model)
     if world is None:
         return configurations

@@ -35,7 +35,7 @@ _WORLD_TYPES = (*_ARM_TYPES, _PLANE, int(mujoco.mjtGeom.mjGEOM_ELLIPSOID), int(m
 
 
 class KernelChecker(CollisionChecker):
-    """A `CollisionChecker` by kernels; `search_checker` makes them."""
+    """`CollisionChecker` by compiled kernels; made by `search_checker`."""
 
     def __init__(self, model: mujoco.MjModel, reaches: Array | None, world: World):
         super().__init__(model, reaches)

@@ -20,7 +20,7 @@ _STEP = 0.01  # metres that any point of the arm moves between two configuration
 
 
 class LeafContacts:
-    """Finds the leaves that an arm touches; several threads may use it.
+    """Finder of the leaves that an arm touches; several threads may use it.
 
     Args:
         compiled: The scene with its arm.

@@ -49,7 +49,7 @@ class ProvingChecker(CollisionChecker):
 
     @cached_property
     def search(self) -> CollisionChecker:
-        """The fastest checker of the same model: what it finds free is to be proven by this one."""
+        """Fastest checker of the same model; motions that it finds free must be proven by this one."""
         from greenhouse_gym.motion.kernel_checker import search_checker
 
         return search_checker(self.model, self._known_reaches)
@@ -84,7 +84,7 @@ class ProvingChecker(CollisionChecker):
         return True
 
     def _free_radius(self, configuration: Array) -> float | None:
-        """Return how far the points of the arm may move without a contact, metres; None if there is one already."""
+        """Return the distance that points of the arm may move without a contact, metres; None if one exists already."""
         model, data = self.model, self._data
         self._qpos[:] = configuration
         mujoco.mj_kinematics(model, data)
