@@ -198,38 +198,40 @@ def gap(world, limit, memory):
     return limit
 
 
-@kernel(f"i8({WORLD}, f8[:, ::1], i8, f8, f8, f8[::1], b1[::1])", writes=("gaps", "marks"))
+@kernel(f"i8({WORLD}, f8[:, ::1], i8, f8, f8, f8, f8[::1], b1[::1])", writes=("gaps", "marks"))
 def smallest_gaps(
     world: World,
     configurations: Array,
     wanted: int,
+    largest: float,
     slack: float,
     floor: float,
     gaps: Array,
     marks: npt.NDArray[np.bool_],
 ) -> int:
-    """Write the smallest distances beyond the margins in some configurations (k, n); they are at most 0.
+    """Write the smallest distances beyond the margins in some configurations (k, n).
 
     Args:
         world: The arm and the scene.
         configurations: (k, n) radians.
         wanted: `GAPS` for distances, `CONTACTS` for -1 in each collision, `FIRST` to end at the first one.
+        largest: Larger distances are written as this; 0 unless distances are wanted.
         slack: Distances that exceed the smallest one before them,
-        floor: or this if it is larger, by more than ``slack`` may be written as 0.
+        floor: or this if it is larger, by more than ``slack`` may be written as the largest one.
         gaps: (k,) the result.
         marks: (g,) becomes True for each geom, except planes, in contact in some configuration; (0,) to leave it out.
 
     Returns:
         The number of configurations checked.
     """
-    memory, smallest = memory_for(world, wanted != GAPS, marks), 0.0
+    memory, smallest = memory_for(world, wanted != GAPS, marks), largest
     q = memory[0]
     for k in range(len(configurations)):
         for j in range(len(q)):
             q[j] = configurations[k, j]
-        limit = min(smallest + slack, 0.0)
+        limit = min(smallest + slack, largest)
         found = gap(world, limit, memory)
-        gaps[k] = found if found < limit else 0.0
+        gaps[k] = found if found < limit else largest
         if wanted == GAPS:
             smallest = max(min(smallest, found), floor)
         elif wanted == FIRST and found < 0.0:

@@ -60,8 +60,21 @@ def contacts_in(world: World, configurations: Array, first: bool = False) -> npt
 
     gaps = np.empty(len(configurations))
     q = np.ascontiguousarray(configurations, dtype=np.float64)
-    count = smallest_gaps(world, q, FIRST if first else CONTACTS, 0.0, 0.0, gaps, _NO_MARKS)
+    count = smallest_gaps(world, q, FIRST if first else CONTACTS, 0.0, 0.0, 0.0, gaps, _NO_MARKS)
     return gaps[:count] < 0.0
+
+
+def gaps_in(world: World, configurations: Array, largest: float, slack: float = np.inf, floor: float = 0.0) -> Array:
+    """Return the smallest distances beyond the margins in some configurations (k, n), (k,) metres.
+
+    Arguments are those of `greenhouse_gym.motion.collision_kernels.smallest_gaps`.
+    """
+    from greenhouse_gym.motion.collision_kernels import GAPS, smallest_gaps
+
+    gaps = np.empty(len(configurations))
+    q = np.ascontiguousarray(configurations, dtype=np.float64)
+    smallest_gaps(world, q, GAPS, largest, slack, floor, gaps, _NO_MARKS)
+    return gaps
 
 
 def search_checker(model: mujoco.MjModel, reaches: Array | None = None) -> CollisionChecker:
