@@ -115,7 +115,7 @@ def retreats(hand: Hand) -> tuple[Array, ...]:
 
 
 def withdraw(hand: Hand, direction: Array) -> Iterator[Twist]:
-    """Move the tip in a direction until the fruit at it is clear of the truss, yielding to what holds it up."""
+    """Move the tip in a direction until its fruit is clear of the truss, and yield to whatever blocks it."""
     start, _ = hand.tip
     clear = _RETREAT + 2 * hand.radius(max(hand.held, 0))
     for step in range(1, _RETREATS + 1):
