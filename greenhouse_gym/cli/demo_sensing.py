@@ -92,8 +92,7 @@ def extract(out: Path, row: PlantRow, recording: Recording, cloud: RowCloud, rep
     from greenhouse_gym.accuracy import match_tomatoes, visible_tomatoes
     from greenhouse_gym.geometry import invert
     from greenhouse_gym.rendering.picture_files import write_picture
-    from greenhouse_gym.reporting.overlay import shapes_over_photograph
-    from greenhouse_gym.reporting.pictures import upright
+    from greenhouse_gym.reporting.pictures import shapes_over_photograph, upright
     from greenhouse_gym.shapes import extract_shapes
 
     with report.stage("extract shapes") as results:
