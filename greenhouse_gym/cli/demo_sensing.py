@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 def simulate(out: Path, seed: int, settings: DemoSettings, report: DemoReport) -> tuple[PlantRow, Recording]:
     """Grow a row and record it; return the row and the recording read from its files."""
     from greenhouse_gym.capture import open_recording, simulate_recording, write_recording
-    from greenhouse_gym.capture.recordings import INDEX
+    from greenhouse_gym.capture.formats.own import INDEX
     from greenhouse_gym.crops import grow_row
 
     with report.stage("simulate a row") as results:
