@@ -148,7 +148,7 @@ def rate(
     per_scene: Annotated[int | None, typer.Option(min=1, help="Rate only this many targets, the nearest.")] = None,
 ) -> None:
     """Rate the targets of a bank for another arm and write a new bank; resumes an interrupted run."""
-    from greenhouse_gym.planning.certify import rate_bank
+    from greenhouse_gym.planning.rated_banks import rate_bank
     from greenhouse_gym.robots import get_robot
     from greenhouse_gym.scene import SceneBank
 
