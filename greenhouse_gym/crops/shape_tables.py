@@ -183,17 +183,6 @@ def select_near(tables: ShapeTables, point: Array, distance: float) -> ShapeTabl
     return ShapeTables(*result)
 
 
-def axis_aligned_boxes(centers: Array, half_extents: Array) -> list[Box]:
-    """Return boxes along the axes with centers and half extents (n, 3) in metres, checked all at once.
-
-    Raises:
-        InvalidValueError: A center is not finite, or a half extent is not positive.
-    """
-    unrotated = np.tile([1.0, 0.0, 0.0, 0.0], (len(centers), 1))
-    parts = from_tables(as_tables((), (), ())._replace(boxes=np.column_stack([centers, half_extents, unrotated])))
-    return [box for box in parts.clutter if isinstance(box, Box)]
-
-
 def _tomato_row(tomato: Tomato) -> list[float]:
     shape = tomato.shape
     stretch: Sequence[float] = (
