@@ -13,7 +13,7 @@ _RED, _FAR = 1.5, 0.7  # red over green and blue on ripe skin, and largest depth
 _NEAR, _MIN_PIXELS = 0.02, 8  # metres from where a fruit was expected to its skin, and number of pixels that find it
 _FITS, _FIT, _KEPT = 6, 0.002, 0.9  # Gauss-Newton steps, metres by which skin misses a sphere, fraction that is kept
 _JUMP = 0.7  # radii by which a fruit moves between images at most; its neighbor hangs farther away
-_PEDICEL, _NEXT_TO = 0.012, 0.05  # metres from a fruit to its rachis where no stem is known, and within which one counts
+_PEDICEL, _NEXT_TO = 0.012, 0.05  # metres from a fruit to its rachis without a stem, and within which stems count
 
 
 class FruitMap:

@@ -176,7 +176,8 @@ class _Harvest:
         hand, scene = self._hand, self._scene(0.0)
         others = [tomato for k, tomato in enumerate(scene.tomatoes) if k != fruit]
         near = arrays_of([*(tomato.shape for tomato in others), *scene.stems])
-        arm, costs = arm_spheres(self._robot), []
+        arm = arm_spheres(self._robot)
+        costs: list[tuple[float, int, Array, int]] = []
         for axis in turns(hand, fruit):
             for direction in range(len(retreats(hand))):
                 imagined = ImaginedHand(hand, self._problem)
