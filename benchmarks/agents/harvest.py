@@ -1,11 +1,13 @@
-"""Harvests by an oracle: fruit an hour, success, losses and damage per 100 fruit.
+"""Harvests by an agent: fruit an hour, success, losses and damage per 100 fruit.
 
 python -m benchmarks.agents.harvest --sizes pick stand --episodes 100 --workdir /tmp/harvest
+python -m benchmarks.agents.harvest --agent harvest-scan --sizes stand --episodes 100 --workdir /tmp/harvest
 python -m benchmarks.agents.harvest --bank mini --split train --sizes pick --episodes 4 --results /tmp/harvest.json
 
 Episodes take place in the true rows of a split, with compliant plants; each draws its scene and fruit from its seed.
 Intervals are 95 % bootstrap intervals over the episodes. Records are kept below ``--workdir``, so an interrupted run
-resumes. An oracle knows the true plants as they hang, so its figures bound those of agents that have to see.
+resumes. The oracle knows the true plants as they hang, so its figures bound those of agents that have to see, such as
+harvest-scan.
 """
 
 from __future__ import annotations
@@ -13,19 +15,20 @@ from __future__ import annotations
 from pathlib import Path
 
 from benchmarks.common import RESULTS, add_workdir, kept_or_temporary, parser, table, write_entry
-from greenhouse_gym.agents.harvester import OracleHarvester
+from greenhouse_gym.agents.named import make_agent
 from greenhouse_gym.envs.tasks.harvest import SIZES
 from greenhouse_gym.evaluation import evaluate
 from greenhouse_gym.evaluation.harvest import METRICS, harvest_metrics
 from greenhouse_gym.evaluation.journal import RecordJournal
 
 STEP_LIMITS = {"pick": 400, "truss": 2400, "stand": 3600}
-"""Shorter than the task's: an oracle that has given up only waits."""
+"""Shorter than the task's: an agent that has given up only waits."""
 
 
 def main() -> None:
     """Harvest, print and write the figures."""
     command = parser(__doc__)
+    command.add_argument("--agent", choices=("harvest-oracle", "harvest-scan"), default="harvest-oracle")
     command.add_argument("--bank", default="default")
     command.add_argument("--split", default="test")
     command.add_argument("--sizes", nargs="+", choices=SIZES, default=["pick", "stand"])
@@ -39,8 +42,9 @@ def main() -> None:
         folder.mkdir(parents=True, exist_ok=True)
         for size in given.sizes:
             settings = {"bank": given.bank, "split": given.split, "seed": given.seed, "size": size}
-            journal = RecordJournal(folder / f"{given.bank}-{given.split}-{given.seed}-{size}.jsonl", settings)
-            agent = OracleHarvester()
+            agent = make_agent(given.agent)
+            file = folder / f"{agent.name}-{given.bank}-{given.split}-{given.seed}-{size}.jsonl"
+            journal = RecordJournal(file, settings | {"agent": agent.name})
             found = evaluate(
                 agent, given.split, given.episodes, given.seed, journal=journal, bank=given.bank, size=size,
                 step_limit=STEP_LIMITS[size], **agent.env_options,

@@ -27,6 +27,7 @@ from greenhouse_gym.envs.simulation import Simulation
 from greenhouse_gym.envs.state import STEP_LIMIT, State
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.plants.layout import Crate
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import Scene
 
@@ -47,6 +48,9 @@ class Problem:
         controls: Names of the entries that an action has after those that move the arm, see `Task.controls`.
         rehearsal: Function that copies the simulation with its compliant plants, for agents with ``knows_truth`` alone.
         plants: "rigid", or "brush" if leaves give way, see `greenhouse_gym.envs.EnvSettings`.
+        targets: Indices of all targets of the episode in the scene; a harvest's are the fruit to be picked that the
+            scan shows.
+        crate: Crate of a harvest.
     """
 
     scene: Scene
@@ -60,6 +64,8 @@ class Problem:
     controls: tuple[str, ...] = ()
     rehearsal: Callable[[], CompliantPhysics] | None = None
     plants: str = "rigid"
+    targets: tuple[int, ...] = ()
+    crate: Crate | None = None
 
     @classmethod
     def of(cls, simulation: Simulation, i: int, seed: int, knows_truth: bool = False) -> Problem:
@@ -73,7 +79,8 @@ class Problem:
             simulation.known_scene(i), simulation.target(i), robot, simulation.episode(i).start.copy(), seed,
             make_action(settings.action, robot, interval), interval, simulation.step_limit, simulation.task.controls,
             partial(simulation.rehearsal, i) if knows_truth and settings.plants == "compliant" else None,
-            settings.plants,
+            settings.plants, simulation.episode(i).targets,
+            None if simulation.task.layout is None else simulation.task.layout.crate,
         )  # fmt: skip
 
     @property

@@ -10,12 +10,20 @@ from typing import Any
 import numpy as np
 
 from greenhouse_gym.agents.agent import NamedAgent, Problem
-from greenhouse_gym.agents.picking import close_gap, part, retreats, turns, with_fruit, withdraw
+from greenhouse_gym.agents.picking import (
+    close_gap,
+    part,
+    pointing_down,
+    retreats,
+    spot,
+    turns,
+    with_fruit,
+    withdraw,
+)
 from greenhouse_gym.agents.planner_agent import safe_commands
 from greenhouse_gym.agents.rehearsal import Action, Rehearsal
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.motion.inverse_kinematics import Approach, inverse_kinematics
 from greenhouse_gym.planning import plan
 from greenhouse_gym.plants.live import CRATED, HANGING
 from greenhouse_gym.plants.live_scene import LiveScene
@@ -29,14 +37,13 @@ HARM = (0, 1)
 """Numbers of damaged organs and fruit knocked off that a pick may cost; the first one with a pick counts."""
 
 _CHECKS = 60_000  # collision checks of a plan
-_GUESSES = 400  # configurations from which inverse kinematics starts above the crate
-_GOALS, _ENDS = 30, 200  # configurations at a fruit and above the crate
+_GOALS = 30  # configurations at a fruit
 _AROUND = 0.04  # metres: distance from the crate that paths to fruit keep where they can
 _SCENES = ((True, _AROUND), (True, 0.0), (False, 0.0))  # whether leaves are obstacles, and that distance
 _SEEDS = 2  # plans in each of them
 _ATTEMPTS = 3  # withdrawals with a fruit before a direction is given up
 _DROPS, _FALLS = 3, 60  # actions to let go, and at most until the fruit lies still
-_ABOVE, _SPREAD, _TILT = 0.02, 0.07, 0.5  # metres above the rim, spread in the crate, and radians from upright
+_ABOVE = 0.02  # metres above the rim of the crate
 
 
 class OracleHarvester(NamedAgent):
@@ -124,7 +131,7 @@ class _Pick:
         for caught in self._catches(fruit):
             for axis in turns(caught, fruit):
                 off = caught.twin()
-                part(off, fruit, axis)
+                off.move(part(off, fruit, axis))
                 if not self._goes_on(off, fruit) or off.plants.state[fruit] == HANGING:
                     continue
                 for direction in retreats(off):
@@ -147,7 +154,7 @@ class _Pick:
                 trial = self._start.twin()
                 if not self._follow(trial, scene, tomatoes[fruit], self._robot, _GOALS, seed):
                     continue
-                close_gap(trial, fruit)
+                trial.move(close_gap(trial, fruit))
                 if self._goes_on(trial, fruit):
                     yield trial
                     break
@@ -156,7 +163,7 @@ class _Pick:
         """Withdraw, carry the fruit above the crate and let go; return whether a path exists and nothing is lost."""
         loaded = with_fruit(self._robot, trial.plants.radius(fruit))
         for _ in range(_ATTEMPTS):
-            withdraw(trial, direction)
+            trial.move(withdraw(trial, direction))
             if not self._goes_on(trial, fruit):
                 return False
             scene, tomatoes = trial.scene(leaves=True)
@@ -197,14 +204,6 @@ class _Pick:
 
     def _above_crate(self, trial: Rehearsal) -> Array:
         """Return configurations with the tool pointing down into the crate."""
-        plants, command = trial.plants, trial.command
-        around = 2.4 * self._picked
-        x, y = _SPREAD * np.cos(around), _SPREAD * np.sin(around)
-        point = plants.above_crate(np.array([x, y, 2 * plants.crate.half_extents[2] + _ABOVE]))
-        rng = np.random.default_rng(self._problem.seed)
-        guesses = rng.uniform(self._robot.lower, self._robot.upper, (_GUESSES, len(command)))
-        down = Approach(np.array([0.0, 0.0, -1.0]), _TILT)
-        found, _ = inverse_kinematics(trial.chain, np.vstack([command, guesses]), point, 0.0, self._robot, down)
-        near = np.argsort(np.abs(found - command).max(axis=1), kind="stable")
-        self._robot.keep_tool_roll(found, command)
-        return np.clip(found[near[:_ENDS]], self._robot.lower, self._robot.upper)
+        plants = trial.plants
+        point = plants.above_crate(np.append(spot(self._picked), 2 * plants.crate.half_extents[2] + _ABOVE))
+        return pointing_down(trial.chain, self._robot, trial.command, point, self._problem.seed)

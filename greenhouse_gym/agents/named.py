@@ -15,6 +15,7 @@ from greenhouse_gym.agents.looking import FixedViewsAgent, NextBestViewAgent, Ra
 from greenhouse_gym.agents.planner_agent import PlannerAgent
 from greenhouse_gym.agents.policy import Policy, description_path
 from greenhouse_gym.agents.policy_agent import PolicyAgent, shipped_policies
+from greenhouse_gym.agents.scan_harvester import ScanHarvester
 from greenhouse_gym.agents.shield import ShieldedAgent
 from greenhouse_gym.agents.watchful import WatchfulAgent
 from greenhouse_gym.common.own_code import load_own, make
@@ -25,7 +26,9 @@ _NAMED: tuple[type[Agent], ...] = (
     RandomAgent, StraightLineAgent, WaypointAgent, HybridAgent, ShieldedAgent, WatchfulAgent,
     NextBestViewAgent, FixedViewsAgent, RandomViewsAgent,
 )  # fmt: skip
-SIMPLE: dict[str, Callable[[], Agent]] = {**{agent.name: agent for agent in _NAMED}, "harvest-oracle": OracleHarvester}
+SIMPLE: dict[str, Callable[[], Agent]] = {
+    **{agent.name: agent for agent in _NAMED}, "harvest-oracle": OracleHarvester, "harvest-scan": ScanHarvester,
+}  # fmt: skip
 """Agents by name that are made without arguments."""
 
 _CHECKPOINT = "checkpoint.safetensors"

@@ -1,18 +1,19 @@
-"""Motions of a pick in a rehearsal: close the gap to a fruit, turn it off its pedicel, and withdraw with it."""
+"""Motions of a pick: close the gap to a fruit, turn it off its pedicel, withdraw with it, and hold it above a crate."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import lru_cache
+from typing import Protocol
 
 import mujoco
 import numpy as np
 
-from greenhouse_gym.agents.rehearsal import Rehearsal
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.plants.live import HANGING
+from greenhouse_gym.motion.inverse_kinematics import Approach, inverse_kinematics
 from greenhouse_gym.robots import Robot
+from greenhouse_gym.robots.kinematics import Chain
 from greenhouse_gym.robots.robot import TIP_SITE
 
 _CLOSING, _CONTACT, _REACHES = 0.12, 0.001, 24  # m/s; gap in metres at which the cup stops; actions at most
@@ -22,70 +23,136 @@ _RETREAT, _RETREATS = 0.05, 20  # metres by which the tip withdraws, and actions
 _BACK, _FASTER = 0.25, 0.05  # m/s at most, and m/s by which it becomes faster per action
 _YIELDING = 0.012  # m/s per N: the tip yields to what pushes the held fruit
 _SHRUNK, _STEP = 0.9, 0.004  # radius of a held fruit in plans over its own, and metres to which it is rounded up
+_DAMPING = 0.05  # metres per radian: of the inverse kinematics
+_GUESSES, _ENDS = 400, 200  # configurations from which inverse kinematics starts above the crate, and results at most
+_SPREAD, _TILT = 0.07, 0.5  # metres between fruit in the crate and its middle, and radians from upright
 _STILL = np.zeros(3)
 _UP = np.array([0.0, 0.0, 1.0])
 
+Twist = tuple[Array, Array]
+"""Velocity (3,) of the tip, m/s, and its rotation (3,), rad/s, in the scene, during an action."""
 
-def close_gap(trial: Rehearsal, fruit: int) -> None:
+
+class Hand(Protocol):
+    """Tool and fruit as an agent knows them at the moment; fruit have numbers, points are in the scene.
+
+    Attributes:
+        interval: Seconds between two actions.
+        held: Fruit in the cup, or -1.
+        tip: Position (3,) and direction (3,) of the tool.
+        force: (3,) force of the held fruit on the cup beyond its weight, N.
+    """
+
+    @property
+    def interval(self) -> float: ...  # noqa: D102
+    @property
+    def held(self) -> int: ...  # noqa: D102
+    @property
+    def tip(self) -> tuple[Array, Array]: ...  # noqa: D102
+    @property
+    def force(self) -> Array: ...  # noqa: D102
+
+    def center(self, fruit: int) -> Array:
+        """Return the middle (3,) of a fruit, metres."""
+
+    def radius(self, fruit: int) -> float:
+        """Return the radius of a fruit, metres."""
+
+    def joint(self, fruit: int) -> Array:
+        """Return the start (3,) of a fruit's pedicel, metres."""
+
+    def hanging(self) -> list[int]:
+        """Return the fruit that hang."""
+
+
+def close_gap(hand: Hand, fruit: int) -> Iterator[Twist]:
     """Bring the cup to a fruit until it holds one."""
-    plants = trial.plants
     for _ in range(_REACHES):
-        if plants.held >= 0:
+        if hand.held >= 0:
             return
-        tip, axis = trial.tip
-        offset = plants.center(fruit) - tip
+        tip, axis = hand.tip
+        offset = hand.center(fruit) - tip
         distance = float(np.linalg.norm(offset))
-        gap = distance - plants.radius(fruit) - _CONTACT
-        speed = np.clip(gap / trial.interval, -_CLOSING, _CLOSING)
-        trial.twist(offset / distance * speed, 2 * np.cross(axis, offset / distance), True)
+        gap = distance - hand.radius(fruit) - _CONTACT
+        speed = np.clip(gap / hand.interval, -_CLOSING, _CLOSING)
+        yield offset / distance * speed, 2 * np.cross(axis, offset / distance)
 
 
-def turns(trial: Rehearsal, fruit: int) -> Iterator[Array]:
+def turns(hand: Hand, fruit: int) -> Iterator[Array]:
     """Yield axes (3,) to turn a held fruit about: first that of the tool, away from other fruit, then across it."""
-    plants = trial.plants
-    _, axis = trial.tip
-    center = plants.center(fruit)
-    hanging = center - plants.joint_of(fruit)
-    hanging /= np.linalg.norm(hanging)
-    about = axis - axis @ hanging * hanging
-    across = np.cross(hanging, about if np.linalg.norm(about) > 0.3 else _UP)
+    _, axis = hand.tip
+    center = hand.center(fruit)
+    hangs = center - hand.joint(fruit)
+    hangs /= np.linalg.norm(hangs)
+    about = axis - axis @ hangs * hangs
+    across = np.cross(hangs, about if np.linalg.norm(about) > 0.3 else _UP)
     across = across / np.linalg.norm(across) if np.linalg.norm(across) > 1e-6 else np.array([0.0, 1.0, 0.0])
-    about = np.cross(across, hanging)
-    others = [plants.center(k) for k in np.flatnonzero(plants.state == HANGING).tolist() if k != fruit]
+    about = np.cross(across, hangs)
+    others = [hand.center(k) for k in hand.hanging() if k != fruit]
     near = [(o - center) / max(float((o - center) @ (o - center)), 1e-4) for o in others]
     crowd = np.sum([o for o in near if np.linalg.norm(o) > 1 / 0.12] or [_STILL], axis=0)
-    side = -1.0 if crowd @ np.cross(about, hanging) > 0 else 1.0
-    back = -1.0 if axis @ np.cross(across, hanging) > 0 else 1.0
+    side = -1.0 if crowd @ np.cross(about, hangs) > 0 else 1.0
+    back = -1.0 if axis @ np.cross(across, hangs) > 0 else 1.0
     yield from (side * about, back * across, -side * about, -back * across)
 
 
-def part(trial: Rehearsal, fruit: int, axis: Array) -> None:
+def part(hand: Hand, fruit: int, axis: Array) -> Iterator[Twist]:
     """Turn a held fruit about the joint of its pedicel, and at last pull as well, until it comes off."""
-    plants = trial.plants
     for step in range(_PULLS):
-        if plants.held != fruit or plants.state[fruit] != HANGING:
+        if hand.held != fruit or fruit not in hand.hanging():
             return
-        tip, tool = trial.tip
+        tip, tool = hand.tip
         spin = axis * _TURNING if step < _TURNS else _STILL
         pull = _STILL if step < _TURNS // 2 else -tool * _PULLING
-        trial.twist(np.cross(spin, tip - plants.joint_of(fruit)) + pull, spin, True)
+        yield np.cross(spin, tip - hand.joint(fruit)) + pull, spin
 
 
-def retreats(trial: Rehearsal) -> tuple[Array, ...]:
+def retreats(hand: Hand) -> tuple[Array, ...]:
     """Return directions (3,) to withdraw in: straight back, and back and up or down."""
-    _, axis = trial.tip
+    _, axis = hand.tip
     directions = (-axis, _UP * 0.7 - axis, -_UP * 0.7 - axis)
     return tuple(direction / max(float(np.linalg.norm(direction)), 1e-9) for direction in directions)
 
 
-def withdraw(trial: Rehearsal, direction: Array) -> None:
+def withdraw(hand: Hand, direction: Array) -> Iterator[Twist]:
     """Move the tip in a direction until its fruit is clear of the truss, and yield to whatever blocks it."""
-    start, _ = trial.tip
-    clear = _RETREAT + 2 * trial.plants.radius(max(trial.plants.held, 0))
+    start, _ = hand.tip
+    clear = _RETREAT + 2 * hand.radius(max(hand.held, 0))
     for step in range(1, _RETREATS + 1):
-        if (trial.tip[0] - start) @ direction > clear or trial.plants.held < 0:
+        if (hand.tip[0] - start) @ direction > clear or hand.held < 0:
             return
-        trial.twist(direction * min(_BACK, _FASTER * step) + _YIELDING * trial.force, _STILL, True)
+        yield direction * min(_BACK, _FASTER * step) + _YIELDING * hand.force, _STILL
+
+
+def joint_change(jacobian: Array, twist: Twist, interval: float, steps: Array) -> Array:
+    """Return the change (j,) of the joints' commands in an action for a motion of the tip.
+
+    Args:
+        jacobian: (6, j) derivatives of the tip's position and rotation, metres and radians per radian.
+        twist: The motion. It is slowed down as a whole if an action cannot reach so far.
+        interval: Seconds between two actions.
+        steps: (j,) largest change in an action.
+    """
+    wanted = np.concatenate(twist) * interval
+    change = jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + _DAMPING**2 * np.eye(6), wanted)
+    return np.asarray(change / max(1.0, float((np.abs(change) / steps).max())))
+
+
+def spot(picked: int) -> Array:
+    """Return where in a crate (2,) to lay down a fruit after a number of them, from its middle, metres."""
+    around = 2.4 * picked
+    return _SPREAD * np.array([np.cos(around), np.sin(around)])
+
+
+def pointing_down(chain: Chain, robot: Robot, command: Array, point: Array, seed: int) -> Array:
+    """Return configurations (k, j) with the tip at a point (3,) and the tool pointing down, nearest first."""
+    rng = np.random.default_rng(seed)
+    guesses = rng.uniform(robot.lower, robot.upper, (_GUESSES, len(command)))
+    down = Approach(-_UP, _TILT)
+    found, _ = inverse_kinematics(chain, np.vstack([command, guesses]), point, 0.0, robot, down)
+    near = np.argsort(np.abs(found - command).max(axis=1), kind="stable")
+    robot.keep_tool_roll(found, command)
+    return np.clip(found[near[:_ENDS]], robot.lower, robot.upper)
 
 
 def with_fruit(robot: Robot, radius: float) -> Robot:

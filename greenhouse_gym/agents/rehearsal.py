@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Iterable
 
 import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.agents.agent import Problem
+from greenhouse_gym.agents.picking import Twist, joint_change
 from greenhouse_gym.envs.actions import CommandLimits
 from greenhouse_gym.envs.state import control_timing
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.plants.live import LOOSE, LivePlants
+from greenhouse_gym.plants.live import HANGING, LOOSE, LivePlants
 from greenhouse_gym.plants.live_scene import LiveScene, live_scene
 from greenhouse_gym.robots.kinematics import Chain, tool_chain
 
 Action = npt.NDArray[np.float32]
 
-_DAMPING = 0.05  # metres per radian: of the inverse kinematics
 _ONE = np.array([0])
 
 
@@ -62,6 +63,28 @@ class Rehearsal:
     def rehearsed(self) -> int:
         """Number of actions tried by this one and its twins."""
         return int(self._rehearsed)
+
+    @property
+    def held(self) -> int:
+        """Fruit in the cup, or -1."""
+        return self.plants.held
+
+    def center(self, fruit: int) -> Array:
+        """Return the middle (3,) of a fruit, metres."""
+        return self.plants.center(fruit)
+
+    def radius(self, fruit: int) -> float:
+        """Return the radius of a fruit, metres."""
+        return self.plants.radius(fruit)
+
+    def joint(self, fruit: int) -> Array:
+        """Return the start (3,) of the pedicel of a fruit, metres."""
+        return self.plants.joint_of(fruit)
+
+    def hanging(self) -> list[int]:
+        """Return the fruit that hang."""
+        hanging: list[int] = np.flatnonzero(self.plants.state == HANGING).tolist()
+        return hanging
 
     @property
     def interval(self) -> float:
@@ -108,16 +131,15 @@ class Rehearsal:
         self.harm += int(felt["damaged"][0] + felt["knocked"][0])
         self.lost |= bool(felt["dropped"][0]) or bool(contacts.collided[0])
 
-    def twist(self, velocity: Array, spin: Array, vacuum: bool) -> None:
-        """Move the tip at a velocity (3,), m/s, and turn it, (3,) rad/s, in the scene, for one action."""
-        data, joints = self._physics.simulation(0).data, len(self._problem.robot.joints)
-        axes, anchors = data.xaxis[:joints], data.xanchor[:joints]
-        sliding = self._problem.robot.sliding[:, None]
-        linear = np.where(sliding, axes, np.cross(axes, self.tip[0] - anchors))
-        jacobian = np.concatenate([linear, np.where(sliding, 0.0, axes)], axis=1).T
-        wanted = np.concatenate([velocity, spin]) * self._problem.interval
-        change = jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + _DAMPING**2 * np.eye(6), wanted)
-        self.step(change / max(1.0, float((np.abs(change) / self._problem.joint_steps).max())), vacuum)
+    def move(self, twists: Iterable[Twist]) -> None:
+        """Move the tip, one motion an action, with vacuum."""
+        for twist in twists:
+            data, joints = self._physics.simulation(0).data, len(self._problem.robot.joints)
+            axes, anchors = data.xaxis[:joints], data.xanchor[:joints]
+            sliding = self._problem.robot.sliding[:, None]
+            linear = np.where(sliding, axes, np.cross(axes, self.tip[0] - anchors))
+            jacobian = np.concatenate([linear, np.where(sliding, 0.0, axes)], axis=1).T
+            self.step(joint_change(jacobian, twist, self.interval, self._problem.joint_steps), True)
 
     def wait(self, fruit: int, actions: int) -> None:
         """Hold still until a fruit has come to rest, for a number of actions at most."""

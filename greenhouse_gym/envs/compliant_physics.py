@@ -94,6 +94,10 @@ class CompliantPhysics:
         assert sim is not None
         return sim
 
+    def plants(self, i: int) -> mujoco.MjData:
+        """Return the state of a simulation."""
+        return self.simulation(i).data
+
     def load(self, i: int, world: World, targets: Sequence[int], disturbance: Disturbance) -> None:
         """Copy a world into a simulation; takes effect with the next `place`."""
         assert world.planted is not None

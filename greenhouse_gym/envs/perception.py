@@ -223,7 +223,8 @@ class Perception:
             self._rig = CameraRig(cameras, compiled, self._threads, *shows)
         noises = [setup.disturbance.noise for setup in setups]
         models = [physics.models[i] for i in np.arange(self._count)[ids]]
-        return self._rig.render(models, physics.qpos[ids], frame, tip, tool, noises)
+        plants = [physics.plants(i) for i in np.arange(self._count)[ids]]
+        return self._rig.render(models, physics.qpos[ids], frame, tip, tool, noises, plants)
 
     def take_views(self, ids: Ids, physics: AnyPhysics) -> list[View]:
         """Take a view with the camera of the task in some simulations."""

@@ -60,6 +60,9 @@ class AnyPhysics(Protocol):
     def felt(self, ids: Ids | slice) -> Mapping[str, Array]:
         """Return the state of compliant plants, see `greenhouse_gym.envs.state.PLANTS`."""
 
+    def plants(self, i: int) -> mujoco.MjData | None:
+        """Return the state of a simulation with plants that move; None if they are rigid."""
+
     def model_and_data(
         self, i: int, targets: Sequence[int], disturbance: Disturbance
     ) -> tuple[mujoco.MjModel, mujoco.MjData]:
@@ -175,6 +178,9 @@ class Physics:
     def felt(self, ids: Ids | slice) -> Mapping[str, Array]:
         """Return no numbers, since rigid plants have no state."""
         return {}
+
+    def plants(self, i: int) -> None:
+        """Return no state: rigid plants do not move."""
 
     def model_and_data(
         self, i: int, targets: Sequence[int], disturbance: Disturbance

@@ -140,8 +140,8 @@ class CameraRig:
         self._renders_geoms = renders_geoms
         self._rays = [camera.rays for camera in self.cameras]
         self._lengths = [np.linalg.norm(rays, axis=1) for rays in self._rays]
-        self._first_of_arm = compiled.obstacle_geoms.stop
         self._casters = [RayCaster(compiled) for _ in range(max(1, threads))]
+        self._arm = self._casters[0].arm
         self._pool = ThreadPoolExecutor(len(self._casters)) if len(self._casters) > 1 else None
 
     def render(
@@ -152,6 +152,7 @@ class CameraRig:
         tip: Array,
         tool: Array,
         noises: Sequence[np.random.Generator | None],
+        plants: Sequence[mujoco.MjData | None] | None = None,
     ) -> Images:
         """Render the images of all cameras.
 
@@ -162,11 +163,14 @@ class CameraRig:
             tip: (n, 3) tool tips in the scene, metres.
             tool: (n, 3, 3) tool rotations, scene_from_tool.
             noises: Generator of each simulation's depth noise; None for noise-free images.
+            plants: State of each simulation with plants that move; None if none does.
         """
         scene_from_base, scene_from_tip = scene_from_bases(frame), np.zeros((len(tip), 4, 4))
         scene_from_tip[:, :3, :3], scene_from_tip[:, :3, 3], scene_from_tip[:, 3, 3] = tool, tip, 1.0
         views = _camera_poses(self.cameras, invert(scene_from_base) @ scene_from_tip)
-        depth, color, geom = self._render_clean(models, qpos, scene_from_base[:, None] @ views)
+        depth, color, geom = self._render_clean(
+            models, qpos, scene_from_base[:, None] @ views, plants or [None] * len(models)
+        )
         for own, noise in zip(depth, noises, strict=True):
             if noise is not None:
                 for c, camera in enumerate(self.cameras):
@@ -174,7 +178,11 @@ class CameraRig:
         return Images(depth, color, geom, views)
 
     def _render_clean(
-        self, models: Sequence[mujoco.MjModel], qpos: Array, views: Array
+        self,
+        models: Sequence[mujoco.MjModel],
+        qpos: Array,
+        views: Array,
+        plants: Sequence[mujoco.MjData | None],
     ) -> tuple[Float32, Bytes, Geoms]:
         """Return noise-free depth, color and geoms from camera poses scene_from_camera (n, c, 4, 4)."""
         first = self.cameras[0]
@@ -186,7 +194,7 @@ class CameraRig:
         def shoot(part: int) -> None:
             for i in range(part, len(models), len(self._casters)):
                 for k in range(len(self.cameras)):
-                    hits, directions = self._cast(self._casters[part], models[i], qpos[i], k, views[i, k])
+                    hits, directions = self._cast(self._casters[part], models[i], qpos[i], k, views[i, k], plants[i])
                     depths[i, k] = self._depth(hits, k).reshape(shape[2:])
                     if self._renders_geoms:
                         geoms[i, k] = hits.geom.reshape(shape[2:])
@@ -201,18 +209,25 @@ class CameraRig:
         return depths, colors, geoms
 
     def _cast(
-        self, caster: RayCaster, model: mujoco.MjModel, joints: Array, camera: int, view: Array
+        self,
+        caster: RayCaster,
+        model: mujoco.MjModel,
+        joints: Array,
+        camera: int,
+        view: Array,
+        plants: mujoco.MjData | None,
     ) -> tuple[Hits, Array]:
         """Cast the rays of a camera; return the hits and the ray directions (m, 3)."""
         rays, lengths = self._rays[camera], self._lengths[camera]
         directions = (rays / lengths[:, None]) @ view[:3, :3].T
         reach = COLOR_RANGE if self._renders_color else MAX_RANGE * float(lengths.max())
-        return caster.cast(model, joints, view[:3, 3].copy(), directions, reach, self._renders_color), directions
+        hits = caster.cast(model, joints, view[:3, 3].copy(), directions, reach, self._renders_color, plants)
+        return hits, directions
 
     def _depth(self, hits: Hits, camera: int) -> Array:
         visible = hits.distance >= 0
         if not self._renders_arm:
-            visible &= hits.geom < self._first_of_arm
+            visible &= (hits.geom < self._arm.start) | (hits.geom >= self._arm.stop)
         depth = np.where(visible, hits.distance / self._lengths[camera], 0.0)
         depth[depth > MAX_RANGE] = 0.0
         return depth

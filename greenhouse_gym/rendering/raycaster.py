@@ -2,12 +2,12 @@
 
 MuJoCo tests every geom of a model for every ray. Therefore MuJoCo casts the rays in a model of the arm alone, with the
 floor and the cart, and a kernel casts them through the model's tree over the obstacles. Hits are those of MuJoCo in the
-whole model, to the last bit.
+whole model, to the last bit. Plants that move are cast through a tree over where they are now.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -45,12 +45,16 @@ class RayCaster:
 
     Args:
         compiled: Any scene of that layout.
+
+    Attributes:
+        arm: Ids of the arm's geoms in the compiled model.
     """
 
     def __init__(self, compiled: CompiledScene):
         self._slots = compiled.obstacle_geoms
         empty = Surroundings(name="view", placement=compiled.scene.placement)
         self._arm = compile_scene(empty, compiled.robot, 1).model
+        self.arm = range(self._slots.stop, self._slots.stop + self._arm.ngeom - self._slots.start - 1)
         self._data = mujoco.MjData(self._arm)
 
     def cast(
@@ -61,6 +65,7 @@ class RayCaster:
         directions: Array,
         reach: float,
         surfaces: bool = False,
+        plants: mujoco.MjData | None = None,
     ) -> Hits:
         """Return the first hits of m rays.
 
@@ -71,6 +76,7 @@ class RayCaster:
             directions: (m, 3) unit vectors.
             reach: Maximum distance of a hit, metres.
             surfaces: Return colors and normals as well.
+            plants: State of the model, if it has bodies besides the arm.
         """
         from greenhouse_gym.rendering.ray_kernels import nearer_hits
 
@@ -86,6 +92,25 @@ class RayCaster:
         # the arm's view has one slot
         geom = np.where(geom > self._slots.start, geom + self._slots.stop - self._slots.start - 1, geom)
         geom = np.where(obstacle >= 0, obstacle - world, geom)
+        if plants is not None:
+            first = (self.arm.stop + world) % model.ngeom
+            shown = first + np.flatnonzero(model.geom_rgba[first : first + model.ngeom - self.arm.stop, 3])
+            if len(shown):
+                plant = np.full(len(directions), -1)
+                moving = _geoms_of(model, plants, shown)
+                nearer_hits(
+                    origin,
+                    directions,
+                    reach,
+                    0,
+                    len(shown),
+                    moving,
+                    _tree(model, shown, moving),
+                    distance,
+                    plant,
+                    normal,
+                )
+                geom = np.where(plant >= 0, (shown[plant] - world) % model.ngeom, geom)
         rgba = model.geom_rgba[(geom[: len(normal)] + world) % model.ngeom]
         return Hits(distance, geom, rgba, normal)
 
@@ -97,7 +122,7 @@ class RayCaster:
         for name in _GEOM_FIELDS:
             getattr(view, name)[fixture] = getattr(model, name)[first_world_geom(model) + fixture]
         for name in _BODY_FIELDS:
-            getattr(view, name)[:] = getattr(model, name)
+            getattr(view, name)[:] = getattr(model, name)[: view.nbody]
         self._data.qpos[:] = joints
         mujoco.mj_kinematics(view, self._data)
         count = len(directions)
@@ -108,3 +133,25 @@ class RayCaster:
             normal.reshape(-1) if surfaces else None, count, reach,
         )  # fmt: skip
         return distance, geom.astype(np.int64), normal
+
+
+def _geoms_of(model: mujoco.MjModel, data: mujoco.MjData, ids: npt.NDArray[np.int64]) -> tuple[Any, ...]:
+    """Return the geoms of moving bodies where they are now, see `ray_kernels.nearer_hits`."""
+    quats = np.empty((len(ids), 4))
+    for quat, rotation in zip(quats, data.geom_xmat[ids], strict=True):
+        mujoco.mju_mat2Quat(quat, rotation)
+    return (
+        model.geom_type[ids], model.geom_size[ids], data.geom_xpos[ids], quats, model.geom_rbound[ids],
+        model.geom_rgba[ids],
+    )  # fmt: skip
+
+
+def _tree(model: mujoco.MjModel, ids: npt.NDArray[np.int64], geoms: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Return the tree over such geoms."""
+    from greenhouse_gym.scene.tree_kernel import tree_over
+
+    nodes = 2 * len(ids) - 1
+    child, geom, boxes = np.empty((nodes, 2), np.int32), np.empty(nodes, np.int32), np.empty((nodes, 6))
+    _, _, positions, quats, *_ = geoms
+    tree_over(positions, quats, model.geom_aabb[ids], np.empty(nodes, np.int32), child, geom, boxes)
+    return child, geom, boxes

@@ -5,17 +5,22 @@ import pickle
 from importlib import resources
 
 import gymnasium
+import mujoco
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
 from greenhouse_gym.agents import Problem
+from greenhouse_gym.agents.fruit_map import fitted_center
 from greenhouse_gym.agents.harvester import OracleHarvester
 from greenhouse_gym.agents.rehearsal import Rehearsal
+from greenhouse_gym.agents.scan_harvester import ScanHarvester
 from greenhouse_gym.envs import make_env, make_vec_env
+from greenhouse_gym.envs.image_observations import RgbObservation
 from greenhouse_gym.envs.tasks.harvest import COUNTED, SIZES, TomatoHarvest, ripe_targets
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.plants.layout import Crate, Layout
+from greenhouse_gym.rendering.cameras import MAX_RANGE, DepthCamera, scene_from_bases
 from greenhouse_gym.scene import SceneBank, Shapes
 
 SCENE = "own-cluster-2000-w00-02"
@@ -133,6 +138,74 @@ def test_counts_and_reward_terms_are_named(env):
     assert list(info["reward_terms"]) == [
         "crated", "detached", "dropped", "knocked", "damage", "collision", "progress", "time",
     ]  # fmt: skip
+
+
+def test_cameras_see_plants_where_they_hang_now():
+    camera = DepthCamera("wrist", 32, 24)
+    env = make_env(**OPTIONS, observation=RgbObservation(camera, depth=True))
+    env.reset(seed=0)
+    simulation = env.simulation
+    live = simulation.live(0)
+    hinges = live.model.jnt_qposadr[live.model.body_jntadr[live.plants.planted.ids.leaf]]
+    before, still = (env.step(np.zeros(7, dtype=np.float32))[0]["depth"] for _ in range(2))
+    np.testing.assert_array_equal(before, still)
+    live.data.qpos[hinges] += 0.5
+    seen = env.step(np.zeros(7, dtype=np.float32))[0]["depth"]
+    assert (seen != still).mean() > 0.01, "leaves that swing"
+    model, data = simulation.model_and_data(0)
+    view = scene_from_bases(simulation._perception._frame)[0] @ simulation.state.views[0, 0]
+    lengths = np.linalg.norm(camera.rays, axis=1)
+    rays = np.ascontiguousarray(camera.rays / lengths[:, None] @ view[:3, :3].T)
+    geom, distance = np.empty(len(rays), dtype=np.int32), np.empty(len(rays))
+    mujoco.mj_multiRay(
+        model, data, view[:3, 3].copy(), rays.reshape(-1), None, True, -1, geom, distance, None, len(rays), 10.0
+    )
+    depth = np.where(distance >= 0, distance / lengths, 0.0)
+    depth[depth > MAX_RANGE] = 0.0
+    np.testing.assert_allclose(seen.reshape(-1) * MAX_RANGE, depth, atol=1e-6)
+    assert (model.geom_bodyid[geom[geom >= 0]] >= live.plants.planted.ids.truss[0]).any()
+
+
+def test_a_scan_and_a_camera_suffice_to_pick_a_fruit():
+    agent = ScanHarvester()
+    env = make_env(bank="mini", scene=SCENE, **agent.env_options)
+    observation, info = env.reset(seed=0)
+    problem = Problem.of(env.simulation, 0, 0)
+    assert problem.rehearsal is None
+    agent.reset(problem)
+    for _ in range(400):
+        observation, _, terminated, _, info = env.step(agent.act(observation))
+        if terminated:
+            break
+    assert info["is_success"]
+    assert (info["crated"], info["dropped"]) == (1, 0)
+
+
+def test_a_scan_harvester_needs_a_harvest():
+    env = make_env(bank="mini")
+    env.reset(seed=0)
+    with pytest.raises(InvalidValueError, match='needs task="harvest"'):
+        ScanHarvester().reset(Problem.of(env.simulation, 0, 0))
+
+
+def test_fruit_are_where_spheres_fit_their_skin():
+    rng, center = np.random.default_rng(0), np.array([0.6, 0.1, 1.2])
+    skin = rng.normal(size=(200, 3))
+    skin = skin[skin[:, 0] < 0]
+    skin = center + 0.03 * skin / np.linalg.norm(skin, axis=1, keepdims=True)
+    stray = center + rng.uniform(0.035, 0.045, (5, 3))
+    found = fitted_center(np.concatenate([skin, stray]), center + [0.008, -0.006, 0.004], 0.03)
+    np.testing.assert_allclose(found, center, atol=1e-3)
+    assert fitted_center(skin[:5], center, 0.03) is None, "too few pixels"
+    assert fitted_center(np.concatenate([skin, skin + [0.0, 0.03, 0.0]]), center, 0.03) is None, "skin of two fruit"
+
+
+def test_a_problem_names_the_fruit_that_the_scan_shows():
+    stand = make_env(**OPTIONS, size="stand")
+    stand.reset(seed=0)
+    shown = ripe_targets(SceneBank.open("mini").scene(SCENE), 0.6)
+    targets = Problem.of(stand.simulation, 0, 0).targets
+    assert {shown[k] for k in targets} == set(stand.simulation.episode(0).fruit)
 
 
 def test_rigid_plants_are_refused():

@@ -266,6 +266,7 @@ def test_random_shoving_is_stable_and_leaves_swing_back():
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(7200)
 def test_half_an_hour_of_shoving_in_six_scenes():
     for seed, scene in enumerate(SceneBank.open("mini").names()[:6]):
         hinges, warnings, data = shove(scene, 300, seed)
@@ -275,6 +276,7 @@ def test_half_an_hour_of_shoving_in_six_scenes():
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(7200)
 def test_the_same_fruit_come_off_at_finer_steps():
     same, ratios = [], []
     for seed in range(10):

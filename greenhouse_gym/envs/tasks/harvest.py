@@ -175,7 +175,11 @@ class TomatoHarvest(Task):
             episode = sampler.draw(rng, options)
             fruit, problem = self._fruit(episode, sampler)
             if not problem:
-                return replace(episode, fruit=fruit)
+                shown = ripe_targets(episode.scene, self.ripe)
+                targets = sorted(
+                    (k for k, one in shown.items() if one in fruit), key=lambda k: k not in episode.targets
+                )
+                return replace(episode, targets=tuple(targets), fruit=fruit)
         raise InvalidValueError(f"no episode of size {self.size!r} in {_DRAWS} draws; the last: {problem}")
 
     def _fruit(self, episode: Episode, sampler: EpisodeSampler) -> tuple[tuple[int, ...], str]:

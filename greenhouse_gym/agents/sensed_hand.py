@@ -1,0 +1,170 @@
+"""Tool and fruit as an arm senses them, and motions of a pick that it imagines before it chooses one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from greenhouse_gym.agents.agent import Problem
+from greenhouse_gym.agents.fruit_map import FruitMap
+from greenhouse_gym.agents.occupancy_map import wrist_camera
+from greenhouse_gym.agents.picking import Twist, joint_change
+from greenhouse_gym.envs.features import feature_slices
+from greenhouse_gym.envs.image_observations import RgbObservation
+from greenhouse_gym.envs.tasks.harvest import TomatoHarvest
+from greenhouse_gym.geometry import Array, rotation_about
+from greenhouse_gym.motion.unknown_space import guarded
+from greenhouse_gym.plants.mechanics import GRAVITY, PlantMechanics
+from greenhouse_gym.rendering.cameras import MAX_RANGE, DepthCamera
+from greenhouse_gym.robots.kinematics import tool_chain, tool_state
+from greenhouse_gym.scene.mjcf import base_position
+
+_EVERY = 2  # actions from one image to the next that is read
+_FREE_FORCE, _TURNED = 1.0, 8  # N that a fruit pulls beyond its weight when it is off, and actions until this counts
+_PARTS = 11  # actions after which an imagined fruit comes off
+
+
+class SensedHand:
+    """Tool and fruit by the readings of the arm; a `greenhouse_gym.agents.picking.Hand`.
+
+    Args:
+        problem: The episode.
+        image: Width and height of the camera's images, pixels.
+
+    Attributes:
+        chain: Kinematic chain of the tool in the scene.
+        turn: (3, 3) scene_from_base.
+        fruit: The fruit.
+        working: The fruit in work.
+        parting: Whether it is being turned off.
+        joints: (j,) measured joint positions, radians.
+        command: (j,) commanded ones.
+        holds: Whether the cup holds a fruit.
+        crate: (3,) middle of the crate's rim in the scene, metres.
+    """
+
+    def __init__(self, problem: Problem, image: tuple[int, int]):
+        self._problem, self.interval = problem, problem.interval
+        compiled = guarded(problem.scene, problem.robot, problem.start, np.inf)
+        self.chain = tool_chain(compiled.model, compiled.tip_site)
+        self.fruit = FruitMap(problem.scene)
+        self.working = -1
+        self._camera = DepthCamera("wrist", *image)
+        spec = RgbObservation(self._camera, depth=True)(problem.robot, TomatoHarvest())
+        self._features = feature_slices(spec.layout)
+        self.turn = rotation_about([0, 0, 1], problem.scene.placement.yaw)
+        self.base = base_position(problem.scene, problem.robot)
+        self._age, self._turned = 0, 0
+        self.parting = False
+
+    def sense(self, observation: Mapping[str, Any]) -> None:
+        """Take over an observation."""
+        state = observation["state"].astype(np.float64)
+
+        def value(name: str) -> Array:
+            return np.asarray(state[self._features[name]])
+
+        robot = self._problem.robot
+        self.joints = value("joint_position")
+        self.command = np.clip(self.joints + value("command_error"), robot.lower, robot.upper)
+        self._state = tool_state(self.chain, self.joints[None])
+        self.holds = value("gripper")[0] > 0
+        self._force = self.turn @ value("wrist_force")
+        self.crate = self.tip[0] + self.turn @ value("crate_offset")
+        if self._age % _EVERY == 0:
+            turn, origin = (poses[0] for poses in wrist_camera(self.chain, self.joints[None]))
+            depth = (observation["depth"][0] * MAX_RANGE).reshape(-1).astype(np.float64)
+            points = origin + depth[:, None] * (self._camera.rays @ turn.T)
+            self.fruit.see(points, observation["rgb"].reshape(3, -1).T, depth)
+        self._age += 1
+        if self.parting:
+            self._turned += 1
+            if self._turned > _TURNED and np.linalg.norm(self.force) < _FREE_FORCE:
+                self.fruit.hanging[self.working] = False
+
+    def begin(self, fruit: int) -> None:
+        """Begin to turn a fruit off."""
+        self.working, self.parting, self._turned = fruit, True, 0
+
+    @property
+    def held(self) -> int:
+        """Fruit in the cup, or -1."""
+        return self.working if self.holds else -1
+
+    @property
+    def tip(self) -> tuple[Array, Array]:
+        """Position (3,) and direction (3,) of the tool in the scene."""
+        return self._state.point[0], self._state.axis[0]
+
+    @property
+    def force(self) -> Array:
+        """(3,) force of the held fruit on the cup beyond its weight, N, in the scene."""
+        mass = PlantMechanics().density * 4 / 3 * np.pi * self.radius(self.working) ** 3 if self.holds else 0.0
+        return np.asarray(self._force + [0.0, 0.0, GRAVITY * mass])
+
+    def center(self, fruit: int) -> Array:
+        """Return the middle (3,) of a fruit; a held one is at the cup."""
+        if self.holds and fruit == self.working:
+            tip, axis = self.tip
+            return np.asarray(tip + self.radius(fruit) * axis)
+        return np.asarray(self.fruit.centers[fruit])
+
+    def radius(self, fruit: int) -> float:
+        """Return the radius of a fruit, metres."""
+        return float(self.fruit.radii[fruit])
+
+    def joint(self, fruit: int) -> Array:
+        """Return the presumed start (3,) of a fruit's pedicel."""
+        return self.fruit.joint(fruit)
+
+    def hanging(self) -> list[int]:
+        """Return the fruit that hang."""
+        hanging: list[int] = np.flatnonzero(self.fruit.hanging).tolist()
+        return hanging
+
+    def towards(self, twist: Twist) -> Array:
+        """Return the change (j,) of the commands for a motion of the tip."""
+        jacobian = np.concatenate([self._state.jacobian[0], self._state.joint_axes[0]])
+        return joint_change(jacobian, twist, self.interval, self._problem.joint_steps)
+
+
+class ImaginedHand:
+    """Hand that moves without resistance; its fruit comes off after some actions.
+
+    Args:
+        hand: The hand as it is, with the fruit in work.
+        problem: The episode.
+    """
+
+    def __init__(self, hand: SensedHand, problem: Problem):
+        self._hand, self._problem, self.interval = hand, problem, hand.interval
+        self.held, self.force = hand.working, np.zeros(3)
+        self.joint, self.radius = hand.joint, hand.radius
+        self.path = [hand.command]
+
+    @property
+    def tip(self) -> tuple[Array, Array]:
+        """Position (3,) and direction (3,) of the tool in the scene."""
+        state = tool_state(self._hand.chain, self.path[-1][None])
+        return state.point[0], state.axis[0]
+
+    def center(self, fruit: int) -> Array:
+        """Return the middle (3,) of a fruit; the one in work is at the cup."""
+        if fruit != self.held:
+            return self._hand.center(fruit)
+        tip, axis = self.tip
+        return np.asarray(tip + self.radius(fruit) * axis)
+
+    def hanging(self) -> list[int]:
+        """Return the fruit that hang."""
+        return [k for k in self._hand.hanging() if k != self.held or len(self.path) <= _PARTS]
+
+    def move(self, twists: Iterable[Twist]) -> None:
+        """Move the tip, one motion an action."""
+        for twist in twists:
+            state = tool_state(self._hand.chain, self.path[-1][None])
+            jacobian = np.concatenate([state.jacobian[0], state.joint_axes[0]])
+            change = joint_change(jacobian, twist, self.interval, self._problem.joint_steps)
+            self.path.append(self.path[-1] + change)
