@@ -23,7 +23,7 @@ from greenhouse_gym.common.own_code import described
 from greenhouse_gym.common.progress import progress as progress_of
 from greenhouse_gym.envs import EnvSettings, make_vec_env
 from greenhouse_gym.envs.choices import make_task
-from greenhouse_gym.errors import InvalidValueError, check_items, check_whole, require_seed
+from greenhouse_gym.errors import InvalidValueError, UnknownKeywordError, check_items, check_whole, require_seed
 from greenhouse_gym.evaluation.deadline import Deadline, describe, printable
 from greenhouse_gym.evaluation.journal import RecordJournal
 from greenhouse_gym.evaluation.records import Evaluation, Evaluations, Record
@@ -142,8 +142,13 @@ def changed_rules(agent: str, own: Mapping[str, Any], options: Mapping[str, Any]
 
     Raises:
         InvalidValueError: The agent's ``env_options`` contradict the keywords of the episodes.
+        UnknownKeywordError: They have a key that is no keyword of an environment.
     """
     for key, value in own.items():
+        if not isinstance(key, str) or key in ("self", "num_envs"):
+            raise UnknownKeywordError(
+                f"agent {agent!r}: its env_options have {key!r}, which is no keyword of gymnasium.make"
+            )
         if key in options and not _same(value, options[key]):
             raise InvalidValueError(f"agent {agent!r} needs {key}={_SHOWN.repr(value)}, got {options[key]!r}")
     plain = EnvSettings()
