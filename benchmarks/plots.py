@@ -110,23 +110,18 @@ def difficulty() -> Figure:
 
 
 def learning() -> Figure:
-    """Draw the learning curves of the ten lines of README, and of larger networks."""
+    """Draw the learning curves of the ten lines of README, and of half an hour of ``train ppo``."""
     figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.6), sharey=True)
-    trainings = read("first_lesson_long.json")["trainings"]
     for k, (seed, lesson) in enumerate(read("first_lesson.json")["entries"]["ten lines"]["seeds"].items()):
         _, seconds, reached = np.array(lesson["curve"]).T
-        left.plot(seconds, 100 * reached, color=COLORS[k], label=f"seed {seed}")
-    left.set_title("the ten lines of README", fontsize=10)
-    kinds = {"joint": "joint, collision -5", "tip_velocity": "tip_velocity, collision -5"}
-    for training in trainings:
-        for k, (action, start) in enumerate(kinds.items()):
-            if training["name"].startswith(f"{start}, seed") and training["rows"] == "own":
-                _, seconds, reached = np.array(training["curve"]).T
-                label = action if training["seed"] == 0 else None
-                right.plot(seconds, 100 * reached, color=COLORS[k], label=label)
-    right.set_title("larger networks, own rows", fontsize=10)
+        left.plot(seconds / 60, 100 * reached, color=COLORS[k], label=f"seed {seed}")
+    for k, (seed, lines) in enumerate(read("lesson_lengths.json")["entries"]["30 minutes"]["seeds"].items()):
+        minutes, reached = np.array([(line["minutes"], line["success_rate"]) for line in lines]).T
+        right.plot(minutes, 100 * reached, color=COLORS[k], label=f"seed {seed}")
+    left.set_title("the ten lines of README, easy targets", fontsize=10)
+    right.set_title("train ppo, all targets", fontsize=10)
     for axes in (left, right):
-        axes.set_xlabel("seconds on one core")
+        axes.set_xlabel("minutes on one core")
         axes.set_ylim(0, 100)
         axes.legend(frameon=False, loc="upper left")
     left.set_ylabel("reached in training (%)")

@@ -139,7 +139,7 @@ def check_items(name: str, values: Any, expected: str) -> tuple[Any, ...]:
 
 
 def is_number(value: object) -> bool:
-    """Return whether a value is a finite real number; truth values are none."""
+    """Return whether a value is a finite real number and not a boolean."""
     try:
         return isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
     except OverflowError:  # a whole number beyond the range of floats

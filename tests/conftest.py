@@ -18,7 +18,7 @@ from greenhouse_gym.geometry import Box, Ellipsoid, Sphere, rotation_about
 from greenhouse_gym.motion.unknown_space import _guarded
 from greenhouse_gym.scene import Provenance, Scene, SceneBank, Target
 from greenhouse_gym.scene.bank import _opened, write_bank
-from greenhouse_gym.scene.mjcf import _without_obstacles
+from greenhouse_gym.scene.mjcf import _spec_with_slots, _without_obstacles
 
 # a shell that runs the tests in the background has them ignore Ctrl-C, and so would what they start
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -80,7 +80,7 @@ def pytest_collection_finish() -> None:
 def _caches_end_with_their_file() -> Iterator[None]:
     """Free what the package keeps for later calls, so that a process takes no more memory the more files it runs."""
     yield
-    for cached in (shared_worlds, _opened, _without_obstacles, _guarded):
+    for cached in (shared_worlds, _opened, _without_obstacles, _spec_with_slots, _guarded):
         cached.cache_clear()
     gc.collect()
     if sys.platform == "linux":

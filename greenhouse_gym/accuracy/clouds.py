@@ -28,7 +28,7 @@ class ReconstructedRow(Protocol):
 
     @property
     def registered(self) -> npt.NDArray[np.bool_]:
-        """(stations,)."""
+        """(stations,) mask of the registered stations."""
 
     @property
     def world_from_station(self) -> Array:

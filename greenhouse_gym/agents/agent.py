@@ -112,7 +112,7 @@ class Problem:
 
     @property
     def rule(self) -> ActionRule:
-        """The kind of action."""
+        """Kind of action that the environment takes."""
         return JointIncrements(self.robot, self.interval) if self.action is None else self.action
 
 

@@ -203,7 +203,7 @@ def _run(agent: Agent, env: GreenhouseEnv, seed: int) -> dict[str, Any]:
 
 
 def _by_key(rows: list[Any]) -> Any:
-    """Turn a list of dictionaries into a dictionary of lists, as Minari takes them; return anything else unchanged."""
+    """Turn a list of dictionaries into the dictionary of lists that Minari expects; return anything else unchanged."""
     return {key: [row[key] for row in rows] for key in rows[0]} if isinstance(rows[0], Mapping) else rows
 
 

@@ -53,7 +53,7 @@ def goal_features(
 
 
 def flaw_of(layout: Layout) -> str:
-    """Return why a layout with these features is invalid; empty if it is valid or has none."""
+    """Return the reason why a layout with these features is invalid; empty if it is valid or has no such features."""
     names = [name for name, _ in layout]
     if GOAL_FEATURES not in names:
         return ""

@@ -1,4 +1,4 @@
-"""An oracle that harvests: it rehearses each pick in copies of the simulation, among the plants as they hang."""
+"""Oracle of harvesting, which rehearses each pick in copies of the running simulation."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _ABOVE, _SPREAD, _TILT = 0.02, 0.07, 0.5  # metres above the rim, spread in the 
 
 
 class OracleHarvester(NamedAgent):
-    """Pick fruit after fruit with full knowledge of the true plants, as they hang at the moment.
+    """Pick one fruit after the other with full knowledge of the true plants and their current poses.
 
     It plans to the nearest fruit, closes the gap, turns the fruit about its pedicel's joint, withdraws, plans to the
     crate with the fruit as a part of the arm, and lets go. All this is tried in copies of the simulation first, with

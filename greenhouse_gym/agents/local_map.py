@@ -1,4 +1,4 @@
-"""The scan of a scene, updated with what the camera at the wrist observes in an episode."""
+"""Scan of a scene, updated with the observations of the wrist camera in an episode."""
 
 from __future__ import annotations
 
@@ -148,7 +148,7 @@ class LocalMap:
         return np.asarray(points[self._distances(points, centers[0]) > _ARM_GAP])
 
     def unobserved_around_target(self) -> Array:
-        """Return points (k, 3) around the target that the camera has not observed, whatever the scan has."""
+        """Return points (k, 3) around the target that the camera has not observed, even if the scan has."""
         along = np.arange(-_AROUND_TARGET, _AROUND_TARGET, _SPACING)
         offsets = np.stack(np.meshgrid(along, along, along), axis=-1).reshape(-1, 3)
         distances = np.linalg.norm(offsets, axis=1)

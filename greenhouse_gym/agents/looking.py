@@ -1,4 +1,4 @@
-"""Agents that find fruit from one view to the next: planned views, fixed views and random views."""
+"""Agents that find fruit by a sequence of views: planned, fixed or random ones."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ _FACING = 0.15  # fraction of the zone that random views show
 
 
 class CarvedSpace:
-    """The carved map, and the space that the arm has already been in.
+    """Carved map, and the space that the arm has already occupied.
 
     Args:
         arm: The spheres of the arm.
@@ -66,13 +66,13 @@ class CarvedSpace:
         self.update(np.full(MAP.shape, UNKNOWN, dtype=np.uint8))
 
     def update(self, states: npt.NDArray[np.uint8]) -> None:
-        """Take over the states of the cells, `MAP.shape`."""
+        """Adopt the states of the cells, `MAP.shape`."""
         self.states = states
         free = (states == FREE) | (self._swept & (states == UNKNOWN))
         self._distance = np.asarray(distance_transform_edt(free)).reshape(-1) * MAP.cell
 
     def shown(self, configurations: Array, points: Array, opacity: Array) -> Array:
-        """Return how much of points (k, 3) the camera sees in configurations (m, j): (m, k), 0 to 1.
+        """Return the visibility (m, k), 0 to 1, of points (k, 3) to the camera in configurations (m, j).
 
         Args:
             configurations: Radians.
@@ -120,7 +120,7 @@ class CarvedSpace:
         self._shown[cells] += self.shown(joints[None], MAP.centers[cells], OPACITY)[0]
 
     def zone(self) -> Array:
-        """Return (k, 3) centers of the cells of the zone."""
+        """Return the centers (k, 3) of the cells of the zone."""
         return np.asarray(MAP.centers[self._in_zone.reshape(-1)])
 
 

@@ -34,7 +34,7 @@ _LONGEST_NAME = 1000  # characters; longer paths are errors of the system
 
 
 def _training(path: Path) -> Path | None:
-    """Return the folder of a training, given itself or its checkpoint; None if it is none."""
+    """Return the folder of a training, given the folder or its checkpoint; None for anything else."""
     folder = path.parent if path.name == _CHECKPOINT else path
     return folder if (folder / _CHECKPOINT).is_file() else None
 

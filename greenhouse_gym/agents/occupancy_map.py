@@ -1,4 +1,4 @@
-"""Map of what the camera at the wrist has observed in an episode: surface points, and the space it looked through."""
+"""Map of the wrist camera's observations in an episode: surface points, and the space it looked through."""
 
 from __future__ import annotations
 

@@ -79,7 +79,7 @@ def retreats(trial: Rehearsal) -> tuple[Array, ...]:
 
 
 def withdraw(trial: Rehearsal, direction: Array) -> None:
-    """Move the tip in a direction until the fruit at it is clear of the truss, yielding to what holds it up."""
+    """Move the tip in a direction until its fruit is clear of the truss, and yield to whatever blocks it."""
     start, _ = trial.tip
     clear = _RETREAT + 2 * trial.plants.radius(max(trial.plants.held, 0))
     for step in range(1, _RETREATS + 1):

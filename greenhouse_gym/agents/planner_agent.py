@@ -79,7 +79,7 @@ def _limits(path: Array, problem: Problem) -> tuple[Array, Array, Array, float]:
 
 
 class PathFollower:
-    """Turns a joint path into the environment's actions, followed by zero actions.
+    """Actions of the environment along a joint path, followed by zero actions.
 
     Args:
         path: (k, joints) radians, from the current configuration.
@@ -218,7 +218,7 @@ class PlannerAgent(NamedAgent):
         )  # fmt: skip
 
     def act(self, observation: Any) -> npt.NDArray[np.float32]:
-        """Return the next action along the path, whatever the observation."""
+        """Return the next action along the path; the observation is not used."""
         if self._follower is None:
             raise RuntimeError("reset the agent before it acts")
         return self._follower.action()

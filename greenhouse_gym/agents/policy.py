@@ -151,7 +151,7 @@ class Policy(Mlp):
 
 
 def _flaw(arrays: Mapping[str, npt.NDArray[Any]], description: Description) -> str:
-    """Return why weights do not fit the described network; empty if they do."""
+    """Return the reason why weights do not fit the described network; empty if they do."""
     sizes = description.network.sizes
     if max(sizes) > MAX_WIDTH:
         return f"a layer has {max(sizes)} entries, at most {MAX_WIDTH} are allowed"

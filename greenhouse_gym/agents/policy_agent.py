@@ -70,7 +70,7 @@ class PolicyAgent(NamedAgent):
     act_many = act
 
     def network_input(self, observation: Any) -> npt.ArrayLike:
-        """Return an observation as the network takes it: unchanged, or the `goal_vector` of a goal environment's.
+        """Return an observation as the network expects it: unchanged, or the `goal_vector` of a goal environment's.
 
         Raises:
             InvalidValueError: The policy needs a goal environment, and this is the observation of another one.

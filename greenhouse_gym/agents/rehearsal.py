@@ -1,4 +1,4 @@
-"""Rehearsals: copies of a harvest in which an oracle tries what it is going to do."""
+"""Rehearsals: copies of a harvest in which an oracle tries its actions first."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Rehearsal:
 
     @property
     def plants(self) -> LivePlants:
-        """The plants."""
+        """Plants of the copy."""
         return self._physics.simulation(0).plants
 
     @property

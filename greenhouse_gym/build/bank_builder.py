@@ -254,7 +254,7 @@ def _finished_bank(folder: Path) -> dict[str, list[Callable[[], Scene]]]:
 
 
 def _of_finished_bank(bank: dict[str, list[Callable[[], Scene]]], origin: Provenance) -> list[Scene]:
-    """Return the recording's scenes in a bank if they have the same provenance, else none."""
+    """Return the recording's scenes in a bank if they have the same provenance, else an empty list."""
     try:
         of_row = [scene() for scene in bank.get(origin.row, ())]
     except GreenhouseError:

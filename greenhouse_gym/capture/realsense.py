@@ -29,7 +29,7 @@ _MAX_SKIPPED = 300  # images in a row without a partner, after which clocks must
 
 @dataclass(frozen=True, eq=False)
 class LiveRig:
-    """Running cameras."""
+    """Rig of running cameras and the stream of their images."""
 
     rig: Rig  # the cameras, all with the same pose: a rig file gives the real ones
     moments: Iterator[Station]  # their images, moment by moment; ends with the files that are played back
@@ -128,7 +128,7 @@ def _configs(sdk: Any, serials: Mapping[str, str] | None, playback: Sequence[Pat
 
 @dataclass(frozen=True, eq=False)
 class _Stream:
-    """A running camera."""
+    """Stream of images of a running camera."""
 
     name: str
     pipeline: Any

@@ -206,7 +206,7 @@ def submit(
 
 
 def _entry_folder(out: Path | None) -> Path:
-    """Return the folder of entries: the one given, or the repository's if one stands in the repository.
+    """Return the folder of entries: the given one, or that of the repository in the working folder.
 
     Raises:
         InvalidValueError: No folder is given, and this is not the repository.

@@ -14,11 +14,11 @@ from greenhouse_gym.common.tables import Table
 
 @dataclass(frozen=True)
 class DemoSettings:
-    """Size of the demo."""
+    """Sizes of the stages of the demo."""
 
     length: float = 2.0  # m of row
     training_bank: str = "default"
-    training_steps: int = 1_000_000  # about a minute and a half of one core
+    training_steps: int = 2_000_000  # about a minute of one core
     episodes: int = 100  # per agent
     scene_width: float = 1.6  # m
     followed: int = 16  # plans followed in the true row

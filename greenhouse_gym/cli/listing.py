@@ -12,7 +12,7 @@ from greenhouse_gym.common.tables import Table
 
 
 def agent_table() -> Table:
-    """Return the agents without arguments, with what they do."""
+    """Return the agents without arguments, with a line on each."""
     from greenhouse_gym.agents.named import SIMPLE
 
     return Table(("agent", "what it does"), [(name, _summary(kind)) for name, kind in SIMPLE.items()], words=(0, 1))

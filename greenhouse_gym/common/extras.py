@@ -1,4 +1,4 @@
-"""Optional dependencies: errors name the extra of this package that installs what is missing."""
+"""Optional dependencies: errors name the extra of this package that installs a missing one."""
 
 from __future__ import annotations
 

@@ -200,7 +200,7 @@ def first_fault(error: ValidationError) -> str:
 
 @contextmanager
 def exclusive(folder: str | Path, parts: str = "") -> Iterator[None]:
-    """Hold a folder for this process alone; it is created if missing.
+    """Lock a folder for this process; it is created if missing.
 
     The file ``.lock`` in it holds the number of the process and is locked meanwhile; the lock ends with the process,
     however that ends. Temporary files that a killed process left behind are removed.

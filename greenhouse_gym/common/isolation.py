@@ -51,7 +51,7 @@ class IsolatedError(GreenhouseError):
 
 @contextmanager
 def isolated_output(script: Path, arguments: list[str], seconds: int, memory: int) -> Iterator[IO[bytes]]:
-    """Provide what a script writes to its standard output, as a file.
+    """Provide the standard output of a script, as a file.
 
     The script runs in a fresh interpreter with this one's search path.
 

@@ -42,7 +42,8 @@ def kernel(signature: str, writes: Collection[str] = ()) -> Callable[[Function],
 
     Args:
         signature: Types in numba's notation, such as ``"f8(f8[::1], i8)"``.
-        writes: Names of the arrays that the function changes; others may be read-only.
+        writes: Names of the arrays that may not be read-only: those that the function changes, and those that it hands
+            to helpers which other kernels call with such arrays, as numba compiles a helper once for each kind.
     """
 
     def compiled(function: Function) -> Function:
@@ -66,10 +67,14 @@ def kernel(signature: str, writes: Collection[str] = ()) -> Callable[[Function],
 
 def inlined(function: Function) -> Function:
     """Decorate a helper that kernels call; it is compiled as a part of them."""
-    result: Function = numba.njit(nogil=True, error_model="numpy")(function)
+    result: Function = numba.njit(nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)(
+        function
+    )
     return result
 
 
 def _compile(function: Function, signature: object, cache: bool) -> Function:
-    result: Function = numba.njit(signature, cache=cache, nogil=True, error_model="numpy")(function)
+    result: Function = numba.njit(signature, cache=cache, nogil=True, error_model="numpy", no_cfunc_wrapper=True)(
+        function
+    )
     return result

@@ -1,4 +1,4 @@
-"""Memory that is still available, and limits on what a call of foreign code may take of it."""
+"""Available memory, and limits on its use by calls of foreign code."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _RESERVE = 2**29  # bytes for the caller, once foreign code has taken all that i
 
 
 def available_memory() -> int:
-    """Return the bytes that can be allocated without swapping, on Linux alone; elsewhere, a huge number."""
+    """Return the bytes that can be allocated without swapping on Linux; on other systems, a huge number."""
     free = sys.maxsize
     if _MEMINFO.is_file():
         lines = (line.split() for line in _MEMINFO.read_text().splitlines())

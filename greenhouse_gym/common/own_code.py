@@ -81,7 +81,7 @@ def make(found: Any, reference: str, arguments: Mapping[str, Any]) -> Any:
 
 
 def described(own: Any) -> Any:
-    """Return a choice as JSON holds it: a name, a reference, or the mapping of an instance.
+    """Return a choice as a JSON value: a name, a reference, or the mapping of an instance.
 
     An object that only exists in this process, such as a lambda, is returned unchanged.
     """
@@ -101,7 +101,7 @@ def described(own: Any) -> Any:
 
 
 def portable(own: Any, kind: str) -> Any:
-    """Return a choice as JSON holds it, like `described`.
+    """Return a choice as a JSON value, like `described`.
 
     Raises:
         InvalidValueError: It only exists in this process.

@@ -1,4 +1,4 @@
-"""A crop: how its rows grow, look and move, and how its shapes are extracted. Another crop is one object like this."""
+"""Crop: growth, colors, motion and shape settings in one object, which is all that another crop needs."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class PlantMotion:
 
 @dataclass(frozen=True)
 class Crop:
-    """A crop.
+    """Growth, colors, motion and shape settings of a kind of plant.
 
     Attributes:
         name: Its name.

@@ -1,4 +1,4 @@
-"""Hang the organs of Helios' vines along strings: a high-wire row as meshes, week by week.
+"""Growth of a high-wire row as meshes, week by week: organs of Helios' vines along strings.
 
 Helios grows the organs. This module takes the decisions of a grower: which leaves are removed, at which height a truss
 hangs, how many fruits it bears. A vine is lowered by one truss a week, so in week w every truss hangs one spacing lower

@@ -62,7 +62,7 @@ class Stem(Capsule):
 
 
 class SpaceBox(Box):
-    """A box over cells of space that count as solid, such as unknown ones; it is no piece of a plant."""
+    """Box over cells of space that count as solid, such as unknown ones; not a part of a plant."""
 
 
 def is_leaf(shape: Shape) -> bool:

@@ -193,17 +193,6 @@ def select_near(tables: ShapeTables, point: Array, distance: float) -> ShapeTabl
     return ShapeTables(*result)
 
 
-def axis_aligned_boxes(centers: Array, half_extents: Array) -> list[Box]:
-    """Return boxes along the axes with centers and half extents (n, 3) in metres, checked all at once.
-
-    Raises:
-        InvalidValueError: A center is not finite, or a half extent is not positive.
-    """
-    unrotated = np.tile([1.0, 0.0, 0.0, 0.0], (len(centers), 1))
-    parts = from_tables(as_tables((), (), ())._replace(boxes=np.column_stack([centers, half_extents, unrotated])))
-    return [box for box in parts.clutter if isinstance(box, Box)]
-
-
 def pack(tomatoes: tuple[Tomato, ...], stems: tuple[Stem, ...], clutter: tuple[Shape, ...]) -> dict[str, Any]:
     """Return shapes as a JSON object: the number of rows of each table, and all tables as compressed text.
 

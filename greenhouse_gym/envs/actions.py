@@ -79,7 +79,7 @@ ActionChoice: TypeAlias = str | ActionRule | ActionFactory
 
 
 def joint_steps(robot: Robot, timing: ControlTiming = DEFAULT_TIMING) -> Array:
-    """Return (j,) the change of the joints' commands by a "joint" action of 1: the step, or less for slow slides."""
+    """Return the change (j,) of the joints' commands by a "joint" action of 1: the step, or less for slow slides."""
     slides = np.minimum(timing.action_step, robot.velocity_limits * timing.interval)
     return np.where(robot.sliding, slides, timing.action_step)
 
@@ -171,7 +171,7 @@ class Command(NamedTuple):
 
 
 class CommandLimits:
-    """Enforces speed and position limits, and keeps commands near the measured joints.
+    """Speed and position limits on commands, which also stay near the measured joints.
 
     A change that would exceed the speed limit of a joint is scaled down as a whole, which keeps its direction.
 
@@ -232,7 +232,7 @@ def check_actions(actions: Any, count: int, space: spaces.Box) -> Array:
 
 
 def squared_norm(action: Array) -> Array:
-    """Return (n,) the sum of squares of each action: the effort."""
+    """Return the effort (n,), the sum of squares of each action."""
     return np.asarray((action * action).sum(axis=-1))
 
 

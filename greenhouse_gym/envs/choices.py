@@ -1,4 +1,4 @@
-"""Choices of users, by name or as their own objects, and checks of what these objects return.
+"""Choices of users, by name or as their own objects, and checks of the values these objects return.
 
 Values from a user's code are checked at every step, so that a mistake is reported by its name where it happens.
 """
@@ -268,7 +268,7 @@ class _CheckedReward:
 
 
 def _loaded(kind: str, choice: Any) -> Any:
-    """Return the object that a choice names; an instance of a class that needs no arguments, which a command names."""
+    """Return the object that a choice names; a class that a command names is made if it needs no arguments."""
     own = load_own(choice, kind)
     if not is_own(choice) or not isinstance(own, type):
         return own

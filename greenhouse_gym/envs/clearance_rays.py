@@ -22,7 +22,7 @@ NUM_CLEARANCES = 2 * len(AZIMUTHS) * len(ELEVATIONS)
 
 
 def _rays() -> Array:
-    """Return (rays, 2, distances, 3) points around a target, metres, in the base frame."""
+    """Return points (rays, 2, distances, 3) around a target, metres, in the base frame."""
     directions = np.array(
         [[-np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)] for a, e in product(AZIMUTHS, ELEVATIONS)]
     )
@@ -33,7 +33,7 @@ _POINTS = _rays()
 
 
 def clearance_rays(fields: FieldStore, slot: int, ignored: int, target: Array) -> Float32:
-    """Return (`NUM_CLEARANCES`,) the smallest distance to an obstacle on each ray, near (tool) and far (wrist), metres.
+    """Return the smallest obstacle distances (`NUM_CLEARANCES`,) on each ray, near (tool) and far (wrist), metres.
 
     Args:
         fields: The distance fields.

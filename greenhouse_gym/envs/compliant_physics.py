@@ -46,7 +46,7 @@ class CompliantSimulation(NamedTuple):
 
 
 class CompliantPhysics:
-    """n simulations, each with its own model and plants; stands in for `greenhouse_gym.envs.physics.Physics`.
+    """Physics of n simulations with compliant plants; has the methods of `greenhouse_gym.envs.physics.Physics`.
 
     Args:
         count: Number of simulations n.
@@ -176,7 +176,7 @@ class CompliantPhysics:
         return ToolMotion(anchors, axes, np.array([d.site_xpos[self._tip] for d in data]), heading)
 
     def felt(self, ids: Ids | slice) -> Mapping[str, Array]:
-        """Return the numbers on plants and gripper of `greenhouse_gym.envs.state.State.plants`, in the scene."""
+        """Return plants and gripper as in `greenhouse_gym.envs.state.State.plants`, in the scene."""
         rows = []
         for i in np.arange(len(self._sims))[ids].tolist():
             sim, felt = self.simulation(i), self._felt[i]
@@ -257,7 +257,7 @@ def _check_crate(sim: CompliantSimulation) -> None:
 
 
 def geom_groups(world: World, ids: SlotIds) -> npt.NDArray[np.int8]:
-    """Return (geoms,) indices into `CONTACT_GROUPS` for the geoms of a compiled scene with slots."""
+    """Return the index (geoms,) into `CONTACT_GROUPS` of each geom of a compiled scene with slots."""
     model, groups = world.compiled.model, world.groups.copy()
 
     def mark(body: int, group: int) -> None:

@@ -61,7 +61,7 @@ class Contacts(NamedTuple):
 
 
 def geom_groups(compiled: CompiledScene) -> Groups:
-    """Return (geoms,) indices into `CONTACT_GROUPS` for the geoms of a compiled scene; the arm's geoms get "self"."""
+    """Return the index (geoms,) into `CONTACT_GROUPS` of each geom of a compiled scene; the arm's are in "self"."""
     scene, slots, world = compiled.scene, compiled.obstacle_geoms, int(compiled.model.body_geomnum[0])
     groups = np.full(compiled.model.ngeom, _SELF, dtype=np.int8)
     groups[:world] = _FIXTURE

@@ -1,4 +1,4 @@
-"""The single environment."""
+"""Gymnasium environment of a single simulation."""
 
 from __future__ import annotations
 
@@ -218,7 +218,7 @@ class GreenhouseEnv(EnvMixin, gymnasium.Env[Observed, npt.NDArray[np.float32]]):
 
     @property
     def robot(self) -> Robot:
-        """The arm."""
+        """Arm of the environment."""
         return self.simulation.robot
 
     @property

@@ -98,7 +98,7 @@ class SceneWindow:
 
 
 class EpisodeSampler:
-    """Draws episodes from one split of a bank: a scene, then one of its targets with a matching difficulty.
+    """Sampler of episodes from one split of a bank: a scene, then one of its targets with a matching difficulty.
 
     Episodes of a large bank are drawn from a few scenes at a time, see `SceneWindow`. If a scene
     is not rated for the arm, the targets rated for other arms are used, as `UNRATED` ones.
@@ -245,7 +245,7 @@ class EpisodeSampler:
         return str(target.difficulty) if target.robot == self.robot.name else UNRATED
 
     def nothing_fits(self, where: str, names: tuple[str, ...]) -> str:
-        """Return the message for a place that has no target with one of some difficulties."""
+        """Return the message for a scene or split without a target of some difficulties."""
         return (
             f"{where} has no target rated {' or '.join(names)} for robot {self.robot.name!r}; difficulties are "
             f"{', '.join(DIFFICULTIES)}"

@@ -1,4 +1,4 @@
-"""Rewards and terminations from goals alone, for hindsight experience replay."""
+"""Rewards and terminations of steps with other goals, for hindsight experience replay."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Infos of environments, by key: their masks in vector environments, and their numbers alone."""
+"""Infos of environments, by key: masks in vector environments, and selection of numeric infos."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Infos = dict[str, Any]
 
 
 def numbers_only(infos: Infos) -> Infos:
-    """Return the numbers among infos under one level of keys, nested ones as "contacts.leaf"."""
+    """Return the numeric infos under one level of keys, nested ones as "contacts.leaf"."""
     result: Infos = {}
     for key, value in infos.items():
         if isinstance(value, dict):
@@ -26,7 +26,7 @@ def numbers_only(infos: Infos) -> Infos:
 
 
 def masked(values: Infos, mask: Bools, stepped: Bools) -> Infos:
-    """Return infos with the mask of each key, that of a step for those which only steps have.
+    """Return infos with a mask per key: ``stepped`` for keys that only steps have, else ``mask``.
 
     As in Gymnasium's vector environments, entries of other simulations are 0 or None, and keys that no simulation has
     are missing.

@@ -124,7 +124,7 @@ class StateObservation(ObservationSpec):
 
 
 class TaskObservation(ObservationSpec):
-    """Features of arm and task, without what the scan shows, and the arrays that the task remembers.
+    """Features of arm and task, without those of the scan, and the arrays that the task remembers.
 
     Args:
         robot: The arm.

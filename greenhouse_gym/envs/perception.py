@@ -27,7 +27,7 @@ from greenhouse_gym.robots import Robot
 
 
 class Perception:
-    """Computes the states of n simulations.
+    """Computation of the states of n simulations.
 
     Args:
         count: Number of simulations n.
@@ -201,7 +201,7 @@ class Perception:
         return tracker.configuration[ids] - observed, tracker.cost_to_go[ids].copy(), tracker.free[ids].copy()
 
     def _unknown_at(self, ids: Ids | slice, probes: Array) -> Bools:
-        """Return (n, k) whether probe points (n, k, 3) lie in unobserved space; k is 0 unless required."""
+        """Return a mask (n, k) of the probe points (n, k, 3) in unobserved space; k is 0 unless required."""
         if not self._observe.requires_occupancy:
             return self._false[ids, None][:, :0]
         unknown = np.empty(probes.shape[:2], dtype=np.bool_)

@@ -58,7 +58,7 @@ class AnyPhysics(Protocol):
         """Return the tools' motions with the joints."""
 
     def felt(self, ids: Ids | slice) -> Mapping[str, Array]:
-        """Return the numbers on compliant plants, see `greenhouse_gym.envs.state.PLANTS`."""
+        """Return the state of compliant plants, see `greenhouse_gym.envs.state.PLANTS`."""
 
     def model_and_data(
         self, i: int, targets: Sequence[int], disturbance: Disturbance
@@ -76,7 +76,7 @@ class _Start(NamedTuple):
 
 
 class Physics:
-    """n simulations, each with a private padded model into which a reset copies the scene of the episode.
+    """Batch of n simulations, each with a private padded model into which a reset copies the scene of the episode.
 
     Args:
         count: Number of simulations n.
@@ -173,7 +173,7 @@ class Physics:
         return ToolMotion(stepper.xanchor, stepper.xaxis, stepper.site_xpos[:, self._tip], heading)
 
     def felt(self, ids: Ids | slice) -> Mapping[str, Array]:
-        """Return no numbers: rigid plants feel nothing."""
+        """Return no numbers, since rigid plants have no state."""
         return {}
 
     def model_and_data(

@@ -154,7 +154,7 @@ class DenseReward:
 
 @dataclass(frozen=True)
 class PathReward(DenseReward):
-    """As `DenseReward`, with progress along a collision-free path where one is known.
+    """Dense reward with progress along a collision-free path where one is known.
 
     A grasp point that approaches its goal in a straight line may run into leaves. The remaining path leads to the
     waypoint and from there to the goal, in joint space (`greenhouse_gym.motion.waypoints`). It is a potential (Ng,
@@ -179,12 +179,12 @@ class PathReward(DenseReward):
 
 
 def _remaining_path(state: State) -> Array:
-    """Return (n,) the length of the path to the goal, radians, measured as in `greenhouse_gym.motion.waypoints`."""
+    """Return the length (n,) of the path to the goal, radians, measured as in `greenhouse_gym.motion.waypoints`."""
     return np.asarray(np.sqrt((state.waypoint * state.waypoint).sum(axis=1)) + state.path_length)
 
 
 def total_reward(terms: Terms) -> Array:
-    """Return (n,) the sum of the terms in their order."""
+    """Return the sum (n,) of the terms in their order."""
     return np.asarray(reduce(np.add, terms.values()))
 
 

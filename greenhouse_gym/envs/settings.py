@@ -156,7 +156,7 @@ class EnvSettings:
         return options
 
     def keywords(self) -> dict[str, Any]:
-        """Return the keywords of ``gymnasium.make`` that differ from the defaults, as JSON holds them where it can."""
+        """Return the keywords of ``gymnasium.make`` that differ from the defaults, as JSON values where possible."""
         plain = EnvSettings()
         given = {f.name: getattr(self, f.name) for f in fields(self)}
         changed = {name: _as_json(value) for name, value in given.items() if value != getattr(plain, name)}
@@ -184,7 +184,7 @@ def _restored(given: dict[str, Any]) -> EnvSettings:
 
 
 def _as_json(value: Any) -> Any:
-    """Return a setting as JSON holds it, or unchanged."""
+    """Return a setting as a JSON value if possible, else unchanged."""
     if isinstance(value, SceneBank):
         return str(value.path)
     if isinstance(value, Robot):

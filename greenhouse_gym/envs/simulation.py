@@ -1,4 +1,4 @@
-"""n simulations of a task: the core of both environments."""
+"""Batch of n simulations of a task: the core of both environments."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ BRUSH_MEASURES = ("brushed_leaves", "brushed_time")
 
 
 class Simulation:
-    """n simulations of a task.
+    """Batch of n simulations of a task.
 
     Args:
         count: Number of simulations n.
@@ -354,12 +354,12 @@ class Simulation:
         return world.rigid, int(world.bodies[self.target(i)])
 
     def tip(self, i: int) -> Array:
-        """Return (3,) the tip in the scene, metres."""
+        """Return the position (3,) of the tip in the scene, metres."""
         assert self._physics is not None
         return np.array(self._physics.sites(np.array([i]))[0][0, 0])
 
     def goal(self, i: int) -> Array:
-        """Return (3,) the center of the simulated current target in the scene, metres."""
+        """Return the center (3,) of the simulated current target in the scene, metres."""
         return self._setup(i).world.goal_in_scene(self.target(i))
 
     def model_and_data(self, i: int) -> tuple[mujoco.MjModel, mujoco.MjData]:

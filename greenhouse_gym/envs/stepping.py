@@ -94,13 +94,13 @@ class Stepper(Protocol):
         """Place some arms, whose models may have been edited, at rest and return which have contacts."""
 
     def run(self) -> Bools:
-        """Run the physics steps of an action and return (n,) which had contacts before, between or after them."""
+        """Run the physics steps of an action; return a mask (n,) of simulations with contacts at any of them."""
 
     def found(self) -> npt.NDArray[np.int64]:
-        """Return the numbers (n, substeps) of contacts after each physics step of the last action."""
+        """Return the number (n, substeps) of contacts after each physics step of the last action."""
 
     def pushed(self) -> Bools:
-        """Return (n,) which simulations had a contact in the last action that does not give way.
+        """Return a mask (n,) of the simulations whose last action had a contact that does not give way.
 
         It must have pushed before a physics step or be present at the end.
         """

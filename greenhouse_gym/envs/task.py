@@ -107,15 +107,15 @@ class Task(ABC):
         return self.memory
 
     def looks(self, controls: Array) -> Bools:
-        """Return (n,) which simulations take a view after an action with these entries of `controls` (n, c)."""
+        """Return a mask (n,) of the simulations that take a view after an action with these `controls` (n, c)."""
         return np.zeros(len(controls), dtype=np.bool_)
 
     def holds(self, controls: Array) -> Bools:
-        """Return (n,) in which simulations the vacuum is on during an action with these entries of `controls`."""
+        """Return a mask (n,) of the simulations whose vacuum is on in an action with these entries of `controls`."""
         return np.zeros(len(controls), dtype=np.bool_)
 
     def see(self, view: View, memory: Mapping[str, Any]) -> Mapping[str, npt.ArrayLike]:
-        """Return the values of `memory` that a view of one simulation changes, given all of its values."""
+        """Return new values of those entries of `memory` that a view of one simulation changes."""
         return {}
 
     @abstractmethod

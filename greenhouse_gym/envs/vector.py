@@ -1,4 +1,4 @@
-"""The vector environment: many simulations in one `mujoco.batch.Batch`."""
+"""Gymnasium vector environment: many simulations in one `mujoco.batch.Batch`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Views that a task takes with a camera of its own, besides what agents observe."""
+"""Views that a task takes with a camera of its own, independent of the agents' observations."""
 
 from __future__ import annotations
 

@@ -130,7 +130,7 @@ class World:
 
     @cached_property
     def leaf_contacts(self) -> LeafContacts:
-        """Finds the leaves of the simulated scene that the arm touches."""
+        """Finder of the leaves of the simulated scene that the arm touches."""
         return LeafContacts(self.compiled)
 
     @cached_property
@@ -329,7 +329,7 @@ def _with_slots(spec: mujoco.MjSpec, layout: Layout, record: Callable[[mujoco.Mj
 
 
 def spheres_in_base(scene: Shapes, scene_from_base: Array) -> Array:
-    """Return (t, 4) centers in the base frame and radii of the tomatoes, metres."""
+    """Return the tomatoes (t, 4), their centers in the base frame and radii, metres."""
     centers = np.array([tomato.center for tomato in scene.tomatoes]).reshape(-1, 3)
     radii = np.array([[tomato.radius] for tomato in scene.tomatoes]).reshape(-1, 1)
     return np.hstack([transform(invert(scene_from_base), centers), radii])

@@ -25,7 +25,7 @@ T = TypeVar("T")
 
 
 class Deadline:
-    """Runs calls with a time limit each. After the first timeout, every further call fails at once.
+    """Runner of calls with a time limit each. After the first timeout, every further call fails at once.
 
     Each call runs in a thread of its own. When it times out, a `SystemExit` is raised at its next step of Python. If it
     takes no such step, or catches the error, it keeps running: discard the object that it works on.
@@ -130,7 +130,7 @@ class Watchdog:
 
 
 def describe(error: BaseException) -> str:
-    """Return an error's type and message as text that can be printed and stored, whatever the message is."""
+    """Return an error's type and message as text that can always be printed and stored."""
     try:
         message = str(error) or ("there is not enough memory" if isinstance(error, MemoryError) else "")
     except (Exception, SystemExit):

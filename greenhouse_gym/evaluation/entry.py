@@ -42,7 +42,7 @@ class Protocol:
     start: str = "upright"
 
     def as_json(self) -> dict[str, Any]:
-        """Return the rules as an entry holds them."""
+        """Return the rules as an entry stores them."""
         rules: dict[str, Any] = json.loads(json.dumps(asdict(self)))
         return rules
 
@@ -152,7 +152,7 @@ def follows(entry: Entry, protocol: Protocol = V1) -> bool:
 
 
 def columns_of(records: Sequence[Record]) -> dict[str, list[Any]]:
-    """Return the values of each field of records, as an entry holds them."""
+    """Return the values of each field of records, as an entry stores them."""
     columns = {field.name: [_plain(getattr(record, field.name)) for record in records] for field in fields(Record)}
     return {name: values for name, values in columns.items() if name not in _OPTIONAL or any(values)}
 

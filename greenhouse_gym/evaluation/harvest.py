@@ -1,4 +1,4 @@
-"""Metrics of the field for harvests: fruit an hour, success, losses and damage, with intervals."""
+"""Usual metrics of harvests: fruit per hour, success, losses and damage, with intervals."""
 
 from __future__ import annotations
 

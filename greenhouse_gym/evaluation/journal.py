@@ -78,7 +78,7 @@ class RecordJournal:
 
 
 def journal_in(folder: Path, agent: Agent, name: str, bank: str, **options: Any) -> RecordJournal:
-    """Return the journal of an evaluation in a folder of journals, each named by what it identifies.
+    """Return the journal of an evaluation in a folder of journals, each named by its identity.
 
     Args:
         folder: The folder.

@@ -21,7 +21,7 @@ SIGNIFICANT = 0.05
 
 @dataclass(frozen=True)
 class Record:
-    """One episode.
+    """Record of one episode.
 
     Attributes:
         seed: Seed of the episode.
@@ -72,7 +72,7 @@ class Record:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """An agent's episodes.
+    """Records of an agent's episodes.
 
     Attributes:
         agent: The agent's name.

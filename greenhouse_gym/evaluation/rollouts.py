@@ -175,7 +175,7 @@ def declares_truth(agent: Agent) -> bool:
 
 
 def shown_rules(changed: Mapping[str, Any], truth: bool) -> str:
-    """Return changed rules as text, such as "success_radius=1.0", also that the agent knows the truth."""
+    """Return changed rules as text, such as "success_radius=1.0", including knowledge of the truth."""
     changed = {**changed, "knows_truth": True} if truth else changed
     return printable(", ".join(f"{key}={_SHOWN.repr(value)}" for key, value in changed.items()))
 

@@ -95,7 +95,7 @@ class _Run:
 
 
 class EpisodeRunner:
-    """Runs an agent's episodes in a vector environment; each starts as soon as a simulation is free.
+    """Runner of an agent's episodes in a vector environment; each starts as soon as a simulation is free.
 
     Args:
         agent: The agent.

@@ -114,7 +114,7 @@ def merge(clouds: Sequence[Cloud]) -> Cloud:
 
 
 def exposure_failure(colors: npt.NDArray[np.floating]) -> str:
-    """Return the failure of photographs with these colors (n, 3), from 0 to 1, as a phrase for a message, or ""."""
+    """Return a phrase on the wrong exposure of photographs with colors (n, 3), from 0 to 1, or ""."""
     if not len(colors):
         return ""
     black, burnt = (colors < _BLACK).all(axis=1).mean(), (colors > _BURNT).all(axis=1).mean()

@@ -39,7 +39,7 @@ class ShapeArrays(NamedTuple):
         return cls(np.zeros(count, np.int8), starts, ends, sizes, np.tile(np.eye(3), (count, 1, 1)))
 
     def select(self, chosen: slice | npt.NDArray[np.integer]) -> ShapeArrays:
-        """Return some of the shapes."""
+        """Return the shapes at the given indices."""
         return ShapeArrays._make(array[chosen] for array in self)
 
 

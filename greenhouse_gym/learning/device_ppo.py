@@ -1,4 +1,4 @@
-"""PPO whose rollouts stay on the device of the Warp environment; on a GPU, rollouts and updates are CUDA graphs."""
+"""PPO with rollouts on the device of the Warp environment; on a GPU, rollouts and updates are CUDA graphs."""
 
 from __future__ import annotations
 
@@ -35,7 +35,6 @@ COLUMNS = ("steps", "seconds", "success_rate", "collision_rate", "return", "leng
 """Columns of the learning curve."""
 
 _LOG_2PI = math.log(2 * math.pi)
-_LOWEST_RATE, _HIGHEST_RATE = 2e-5, 2e-3
 _SECONDS_BETWEEN_LINES = 10.0
 
 
@@ -75,11 +74,13 @@ def train_ppo_on_device(
     rows: list[dict[str, float]] = []
     began = shown = time.monotonic()
     try:
-        while (left := 1 - training.steps / settings.total_steps) > 0:
-            kl = training.iterate(left)
+        over = False
+        while not over:
+            passed = max(training.steps / settings.total_steps, (time.monotonic() - began) / (time_limit or math.inf))
+            kl = training.iterate(max(0.0, 1 - passed))
             now = time.monotonic()
-            over = time_limit is not None and now - began > time_limit
-            if over or now - shown > _SECONDS_BETWEEN_LINES or training.steps >= settings.total_steps:
+            over = training.steps >= settings.total_steps or (time_limit is not None and now - began > time_limit)
+            if over or now - shown > _SECONDS_BETWEEN_LINES:
                 shown = now
                 figures = {"steps": training.steps, "seconds": round(now - began, 2), **training.figures()}
                 rows.append({**figures, "learning_rate": training.learning_rate, "kl": kl})
@@ -89,8 +90,6 @@ def train_ppo_on_device(
                     f"collision {figures['collision_rate']:.0%}, return {figures['return']:.2f}"
                 )
                 on_progress(rows[-1])
-            if over:
-                break
     finally:
         path = training.policy().save(out / "policy")
         training.env.close()
@@ -113,6 +112,7 @@ class DevicePpo:
         from greenhouse_gym.envs.warp import WarpVectorEnv
 
         self.settings, self.steps, self.learning_rate = settings, 0, settings.learning_rate
+        self._caution = 1.0  # factor of the learning rate that follows the divergence
         torch.manual_seed(settings.seed)
         self._bank = rows = SceneBank.open(settings.bank)
         if settings.sources:
@@ -160,9 +160,15 @@ class DevicePpo:
         """Make a rollout and update the networks with it; return the divergence of the policy.
 
         Args:
-            left: Fraction of the training that is left.
+            left: Fraction of the training that is left; the learning rate is proportional to it.
         """
         settings = self.settings
+        self.learning_rate = settings.learning_rate * left * self._caution
+        for group in self._optimizer.param_groups:
+            if isinstance(group["lr"], Tensor):
+                group["lr"].fill_(self.learning_rate)
+            else:
+                group["lr"] = self.learning_rate
         self._roll()
         total = settings.num_envs * settings.rollout_steps
         size = len(self._minibatch)
@@ -173,17 +179,10 @@ class DevicePpo:
                 self._minibatch.copy_(order[k * size : (k + 1) * size])
                 self._update()
         kl = float(self._kl) / settings.minibatches
-        rate = self.learning_rate
         if kl > 2 * settings.divergence:
-            rate /= 1.5
+            self._caution /= 1.5
         elif kl < settings.divergence / 2:
-            rate *= 1.5
-        self.learning_rate = min(max(rate, _LOWEST_RATE), max(_LOWEST_RATE, _HIGHEST_RATE * min(1.0, left / 0.25)))
-        for group in self._optimizer.param_groups:
-            if isinstance(group["lr"], Tensor):
-                group["lr"].fill_(self.learning_rate)
-            else:
-                group["lr"] = self.learning_rate
+            self._caution = min(1.0, 1.5 * self._caution)
         self.steps += total
         return kl
 

@@ -24,7 +24,7 @@ TERMS = "episode_terms"
 
 
 class Sb3Agent(NamedAgent):
-    """Any model of Stable-Baselines3, also a recurrent one of sb3-contrib, as a `greenhouse_gym.agents.Agent`.
+    """Model of Stable-Baselines3 or a recurrent one of sb3-contrib as a `greenhouse_gym.agents.Agent`.
 
     Observations are normalized as by a ``VecNormalize`` around the model's environment.
 

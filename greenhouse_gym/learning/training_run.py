@@ -1,4 +1,4 @@
-"""The parts that trainings by PPO and SAC share: start or resume, callback, checkpoints, and the policy file."""
+"""Shared parts of trainings by PPO and SAC: start or resume, callback, checkpoints, and the policy file."""
 
 from __future__ import annotations
 
@@ -200,7 +200,7 @@ class TrainingReport(BaseCallback):  # type: ignore[misc]
         write_curve(self.out / CURVE, COLUMNS, self.rows)
 
     def save_policy(self) -> Path:
-        """Write the policy file and return its path, or the checkpoint's if such a file cannot hold the network."""
+        """Write the policy file and return its path, or the checkpoint's if a policy file cannot hold the network."""
         notes = {
             "algorithm": algorithm_of(self.model),
             "settings": dict(self.settings),
@@ -217,7 +217,7 @@ class TrainingReport(BaseCallback):  # type: ignore[misc]
 
 
 def as_json(settings: Any) -> dict[str, Any]:
-    """Return a dataclass of settings as JSON has them: without tuples, and with references to own objects."""
+    """Return a dataclass of settings as JSON values: without tuples, and with references to own objects."""
 
     def written(value: Any) -> Any:
         found = value.name if isinstance(value, Scene) else described(value)
@@ -259,7 +259,7 @@ def making_model() -> Iterator[None]:
 
 @contextmanager
 def training_in(out: Path, model: Any, settings: Mapping[str, Any], resume: bool) -> Iterator[None]:
-    """Hold the folder of a training for this process; afterwards close the model's environment.
+    """Lock the folder of a training for this process; afterwards close the model's environment.
 
     The model gets its log and, to resume, the state of the checkpoint; ``settings.json`` is written.
 

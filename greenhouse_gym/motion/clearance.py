@@ -9,7 +9,7 @@ import numpy.typing as npt
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.collision import LEAVES, CollisionChecker, clearance_model
 from greenhouse_gym.motion.joint_reaches import arm_reaches
-from greenhouse_gym.motion.kernel_checker import kernel_world
+from greenhouse_gym.motion.kernel_checker import gaps_in, kernel_world
 from greenhouse_gym.motion.path import along_path
 from greenhouse_gym.scene.mjcf import CompiledScene
 
@@ -61,14 +61,11 @@ def smallest_clearance(
 
 
 def _nearest(model: mujoco.MjModel, configurations: Array) -> Array:
-    """Return those of some configurations (k, joints) that may be the nearest to a contact, by kernels if possible."""
+    """Return the configurations among (k, joints) that may be nearest to a contact, by kernels if possible."""
     world = kernel_world(model)
     if world is None:
         return configurations
-    from greenhouse_gym.motion.clearance_kernels import smallest_gaps
-
-    gaps = np.empty(len(configurations))
     floor = -CLEARANCE_RANGE  # the depth inside an obstacle is left to MuJoCo
-    smallest_gaps(world, np.ascontiguousarray(configurations, dtype=np.float64), _SLACK, floor, gaps)
+    gaps = gaps_in(world, configurations, 0.0, _SLACK, floor)
     limit = max(gaps.min(initial=0.0), floor)
     return configurations[(gaps < 0.0) & (gaps <= limit + _SLACK)]

@@ -161,7 +161,7 @@ def set_margin(model: mujoco.MjModel, geoms: npt.NDArray[np.int64], margin: floa
 
 
 class CollisionChecker:
-    """Checks configurations and motions for collisions, and counts the checks.
+    """Collision checker of configurations and motions, which counts its checks.
 
     Args:
         model: The model, as `planning_model` returns it.

@@ -32,34 +32,37 @@ World = tuple[Array, Array, Pairs, Array, Array, Array]
 
 _PLANE, _SPHERE = int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_SPHERE)
 _CAPSULE, _BOX = int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_BOX)
+GAPS, CONTACTS, FIRST = range(3)
+"""Results of `smallest_gaps`: distances, collisions, or the first collision."""
+
 _STACK = 128  # deeper than any tree with a median split
 WORLD = "Tuple((f8[:, ::1], f8[:, ::1], i4[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1]))"
 
 
 @inlined
-def _local(p, g):
+def _local(p, geoms, i):
     """Return a point in the frame of a geom."""
-    x, y, z = p[0] - g[1], p[1] - g[2], p[2] - g[3]
+    x, y, z = p[0] - geoms[i, 1], p[1] - geoms[i, 2], p[2] - geoms[i, 3]
     return (
-        g[4] * x + g[7] * y + g[10] * z,
-        g[5] * x + g[8] * y + g[11] * z,
-        g[6] * x + g[9] * y + g[12] * z,
+        geoms[i, 4] * x + geoms[i, 7] * y + geoms[i, 10] * z,
+        geoms[i, 5] * x + geoms[i, 8] * y + geoms[i, 11] * z,
+        geoms[i, 6] * x + geoms[i, 9] * y + geoms[i, 12] * z,
     )
 
 
 @inlined
-def near(g, a, b, radius):
+def near(geoms, i, a, b, radius):
     """Return whether the segment from a to b is nearer to a geom than a radius."""
     if radius <= 0.0:
         return False
-    kind, size = int(g[0]), (g[13], g[14], g[15])
-    if kind == _SPHERE:
-        center, limit = (g[1], g[2], g[3]), radius + size[0]
-        return segments_apart(a, b, center, center) < limit * limit
-    if kind == _CAPSULE:
-        x, y, z, limit = g[6] * size[1], g[9] * size[1], g[12] * size[1], radius + size[0]
-        return segments_apart(a, b, (g[1] - x, g[2] - y, g[3] - z), (g[1] + x, g[2] + y, g[3] + z)) < limit * limit
-    u, v = _local(a, g), _local(b, g)
+    kind, size = int(geoms[i, 0]), (geoms[i, 13], geoms[i, 14], geoms[i, 15])
+    if _PLANE < kind <= _CAPSULE:  # a sphere or a capsule
+        half, limit = 0.0 if kind == _SPHERE else size[1], radius + size[0]
+        x, y, z = geoms[i, 6] * half, geoms[i, 9] * half, geoms[i, 12] * half
+        c = (geoms[i, 1] - x, geoms[i, 2] - y, geoms[i, 3] - z)
+        d = (geoms[i, 1] + x, geoms[i, 2] + y, geoms[i, 3] + z)
+        return segments_apart(a, b, c, d) < limit * limit
+    u, v = _local(a, geoms, i), _local(b, geoms, i)
     if kind == _PLANE:
         return min(u[2], v[2]) < radius
     if kind == _BOX:
@@ -72,14 +75,13 @@ def near(g, a, b, radius):
 
 
 @inlined
-def _distance(g, a, b):
+def _distance(geoms, i, a, b):
     """Return the distance of the segment from a to b to a geom; inside a box it is 0."""
-    kind, size, origin = int(g[0]), (g[13], g[14], g[15]), (0.0, 0.0, 0.0)
-    u, v = _local(a, g), _local(b, g)
-    if kind == _SPHERE:
-        return math.sqrt(segments_apart(u, v, origin, origin)) - size[0]
-    if kind == _CAPSULE:
-        return math.sqrt(segments_apart(u, v, (0.0, 0.0, -size[1]), (0.0, 0.0, size[1]))) - size[0]
+    kind, size = int(geoms[i, 0]), (geoms[i, 13], geoms[i, 14], geoms[i, 15])
+    u, v = _local(a, geoms, i), _local(b, geoms, i)
+    if _PLANE < kind <= _CAPSULE:  # a sphere or a capsule
+        half = 0.0 if kind == _SPHERE else size[1]
+        return math.sqrt(segments_apart(u, v, (0.0, 0.0, -half), (0.0, 0.0, half))) - size[0]
     if kind == _PLANE:
         return min(u[2], v[2])
     if kind == _BOX:
@@ -88,44 +90,75 @@ def _distance(g, a, b):
 
 
 @inlined
-def memory_for(world):
-    """Return the memory of checks: joint frames, ends of capsules, a stack, a configuration, a motion and no marks."""
-    n, frames, ends = len(world[0]), np.empty((len(world[0]), 18)), np.empty((len(world[1]), 6))
-    return frames, ends, np.empty(_STACK, np.int64), np.empty(n), np.empty(n), np.empty(0, np.bool_)
+def lowered(geoms, i, a, b, mask, radius, limit, first):
+    """Return the distance of a segment to a geom beyond a radius and margin if it is below a limit, else the limit.
+
+    With ``first``, any such distance is -1. The mask is that of ``contype`` and ``conaffinity`` of the segment.
+    """
+    margin = geoms[i, 18]
+    if not (int(geoms[i, 17]) & mask[0] or int(geoms[i, 16]) & mask[1]):
+        return limit
+    if not near(geoms, i, a, b, radius + margin + limit):
+        return limit
+    return -1.0 if first else _distance(geoms, i, a, b) - radius - margin
 
 
 @inlined
-def place(joints, capsules, q, frames, ends):
-    """Write both ends of each capsule in a configuration; the frames are memory."""
+def memory_for(world, first, marks):
+    """Return the memory of `gap`.
+
+    Args:
+        world: The arm and the scene.
+        first: True to end at any contact.
+        marks: (g,) becomes True for each geom of the tree that is nearer than the limit, which then is not lowered;
+            (0,) to leave it out.
+
+    Returns:
+        The configuration to be checked, a motion, joint frames, ends of capsules, a stack, and the arguments.
+    """
+    # bool, because numba compiles everything twice for a literal
+    n, frames, ends = len(world[0]), np.empty((len(world[0]), 18)), np.empty((len(world[1]), 6))
+    return np.empty(n), np.empty(n), frames, ends, np.empty(_STACK, np.int64), bool(first), marks
+
+
+@inlined
+def place(world, memory):
+    """Write the frames of the joints and both ends of each capsule in the configuration of the memory."""
+    joints, capsules, q, frames, ends = world[0], world[1], memory[0], memory[2], memory[3]
     joint_frames(joints, q, frames)
     for k in range(len(capsules)):
-        c, j = capsules[k], int(capsules[k, 0])
+        j = int(capsules[k, 0])
         for end in range(2):
-            x, y, z = c[1 + 3 * end], c[2 + 3 * end], c[3 + 3 * end]
+            x, y, z = capsules[k, 1 + 3 * end], capsules[k, 2 + 3 * end], capsules[k, 3 + 3 * end]
             if j >= 0:
-                f = frames[j]
                 x, y, z = (
-                    f[9] + (f[0] * x + f[1] * y + f[2] * z),
-                    f[10] + (f[3] * x + f[4] * y + f[5] * z),
-                    f[11] + (f[6] * x + f[7] * y + f[8] * z),
+                    frames[j, 9] + (frames[j, 0] * x + frames[j, 1] * y + frames[j, 2] * z),
+                    frames[j, 10] + (frames[j, 3] * x + frames[j, 4] * y + frames[j, 5] * z),
+                    frames[j, 11] + (frames[j, 6] * x + frames[j, 7] * y + frames[j, 8] * z),
                 )
             ends[k, 3 * end], ends[k, 3 * end + 1], ends[k, 3 * end + 2] = x, y, z
 
 
 @inlined
-def gap(world, q, limit, first, memory):
-    """Return the smallest distance beyond the margins in a configuration if it is below a limit, else the limit.
+def _segment(ends, k):
+    return (ends[k, 0], ends[k, 1], ends[k, 2]), (ends[k, 3], ends[k, 4], ends[k, 5])
 
-    With ``first``, the search ends with -1 at any distance below the limit. ``memory`` is that of `memory_for`. If it
-    has marks (g,), each geom of the tree that is nearer than the limit is marked and does not lower it.
+
+@inlined
+def gap(world, limit, memory):
+    """Return the smallest distance beyond the margins if it is below a limit, else the limit.
+
+    The configuration is that of the memory, see `memory_for`. If the memory says so, the result is -1 at any distance
+    below the limit, which is at least 0 then.
     """
-    joints, capsules, pairs, geoms, nodes, planes = world
-    frames, ends, stack, marks = memory[0], memory[1], memory[2], memory[5]
-    place(joints, capsules, q, frames, ends)
+    capsules, pairs, geoms, nodes, planes = world[1], world[2], world[3], world[4], world[5]
+    ends, stack, first, marks = memory[3], memory[4], memory[5], memory[6]
+    any_contact = first or len(marks) > 0
+    place(world, memory)
     for p in range(len(pairs)):
-        i, k = pairs[p, 0], pairs[p, 1]
-        a, b = (ends[i, 0], ends[i, 1], ends[i, 2]), (ends[i, 3], ends[i, 4], ends[i, 5])
-        c, d = (ends[k, 0], ends[k, 1], ends[k, 2]), (ends[k, 3], ends[k, 4], ends[k, 5])
+        i, k = int(pairs[p, 0]), int(pairs[p, 1])
+        a, b = _segment(ends, i)
+        c, d = _segment(ends, k)
         radius = capsules[i, 7] + capsules[k, 7] + capsules[i, 8] + capsules[k, 8]
         reach, squared = radius + limit, segments_apart(a, b, c, d)
         if reach > 0.0 and squared < reach * reach:
@@ -135,87 +168,72 @@ def gap(world, q, limit, first, memory):
     for k in range(len(capsules) - 1, -1, -1):  # the tool first: most collisions are its
         if capsules[k, 0] < 0 or len(nodes) == 0:
             continue
-        a, b = (ends[k, 0], ends[k, 1], ends[k, 2]), (ends[k, 3], ends[k, 4], ends[k, 5])
-        radius, offered, accepted = capsules[k, 7] + capsules[k, 8], int(capsules[k, 9]), int(capsules[k, 10])
+        a, b = _segment(ends, k)
+        radius, mask = capsules[k, 7] + capsules[k, 8], (int(capsules[k, 9]), int(capsules[k, 10]))
         mx, my, mz = (a[0] + b[0]) / 2, (a[1] + b[1]) / 2, (a[2] + b[2]) / 2
         hx, hy, hz = abs(a[0] - b[0]) / 2 + radius, abs(a[1] - b[1]) / 2 + radius, abs(a[2] - b[2]) / 2 + radius
         for p in range(len(planes)):
-            g = planes[p]
-            if (int(g[17]) & offered or int(g[16]) & accepted) and near(g, a, b, radius + g[18] + limit):
-                if first:
-                    return -1.0
-                limit = _distance(g, a, b) - radius - g[18]
+            limit = lowered(planes, p, a, b, mask, radius, limit, first)
         stack[0] = 0
         size = 1
-        while size > 0:
+        while size > 0 and not (first and limit < 0.0):
             size -= 1
-            n = nodes[stack[size]]
+            n = stack[size]
             if (
-                abs(n[0] - mx) > n[3] + hx + limit
-                or abs(n[1] - my) > n[4] + hy + limit
-                or abs(n[2] - mz) > n[5] + hz + limit
+                abs(nodes[n, 0] - mx) > nodes[n, 3] + hx + limit
+                or abs(nodes[n, 1] - my) > nodes[n, 4] + hy + limit
+                or abs(nodes[n, 2] - mz) > nodes[n, 5] + hz + limit
             ):
                 continue
-            if n[8] < 0:
-                stack[size], stack[size + 1] = int(n[6]), int(n[7])
+            g = int(nodes[n, 8])
+            if g < 0:
+                stack[size], stack[size + 1] = int(nodes[n, 6]), int(nodes[n, 7])
                 size += 2
-                continue
-            g = geoms[int(n[8])]
-            if len(marks) > 0 and marks[int(n[8])]:
-                continue
-            if (int(g[17]) & offered or int(g[16]) & accepted) and near(g, a, b, radius + g[18] + limit):
-                if len(marks) > 0:
-                    marks[int(n[8])] = True
-                    continue
-                if first:
-                    return -1.0
-                limit = _distance(g, a, b) - radius - g[18]
+            elif len(marks) == 0:
+                limit = lowered(geoms, g, a, b, mask, radius, limit, first)
+            elif not marks[g]:
+                marks[g] = lowered(geoms, g, a, b, mask, radius, limit, any_contact) < limit
+        if first and limit < 0.0:
+            return -1.0
     return limit
 
 
-@kernel(f"i8({WORLD}, f8[:, ::1])")
-def first_contact(world: World, configurations: Array) -> int:
-    """Return the index of the first of some configurations (k, n) that is in collision, or -1."""
-    memory = memory_for(world)
-    for k in range(len(configurations)):
-        if gap(world, configurations[k], 0.0, True, memory) < 0.0:
-            return k
-    return -1
+@kernel(f"i8({WORLD}, f8[:, ::1], i8, f8, f8, f8, f8[::1], b1[::1])", writes=("gaps", "marks"))
+def smallest_gaps(
+    world: World,
+    configurations: Array,
+    wanted: int,
+    largest: float,
+    slack: float,
+    floor: float,
+    gaps: Array,
+    marks: npt.NDArray[np.bool_],
+) -> int:
+    """Write the smallest distances beyond the margins in some configurations (k, n).
 
-
-@kernel(f"void({WORLD}, f8[:, ::1], b1[::1])", writes=("touching",))
-def contacts(world: World, configurations: Array, touching: npt.NDArray[np.bool_]) -> None:
-    """Write which of some configurations (k, n) are in collision, (k,)."""
-    memory = memory_for(world)
-    for k in range(len(configurations)):
-        touching[k] = gap(world, configurations[k], 0.0, True, memory) < 0.0
-
-
-@inlined
-def contacts_along(world, start, motion, steps, memory):
-    """Check the inner points of a motion; see `contact_along`."""
-    q, checks, bits = memory[3], 0, 0
-    while (1 << bits) <= steps - 1:
-        bits += 1
-    for index in range(1, 1 << bits):
-        reverse = 0
-        for bit in range(bits):
-            reverse |= ((index >> bit) & 1) << (bits - 1 - bit)
-        if reverse < steps:
-            fraction = reverse / steps
-            for j in range(len(q)):
-                q[j] = start[j] + fraction * motion[j]
-            checks += 1
-            if gap(world, q, 0.0, True, memory) < 0.0:
-                return checks
-    return 0
-
-
-@kernel(f"i8({WORLD}, f8[::1], f8[::1], i8)")
-def contact_along(world: World, start: Array, motion: Array, steps: int) -> int:
-    """Check the inner points of a straight motion from a configuration, in `collision.halving_order`.
+    Args:
+        world: The arm and the scene.
+        configurations: (k, n) radians.
+        wanted: `GAPS` for distances, `CONTACTS` for -1 in each collision, `FIRST` to end at the first one.
+        largest: Larger distances are written as this; 0 unless distances are wanted.
+        slack: Distances that exceed the smallest one before them,
+        floor: or this if it is larger, by more than ``slack`` may be written as the largest one.
+        gaps: (k,) the result.
+        marks: (g,) becomes True for each geom, except planes, in contact in some configuration; (0,) to leave it out.
 
     Returns:
-        Number of checks up to the first collision, or 0 without a collision.
+        The number of configurations checked.
     """
-    return contacts_along(world, start, motion, steps, memory_for(world))
+    memory, smallest = memory_for(world, wanted != GAPS, marks), largest
+    q = memory[0]
+    for k in range(len(configurations)):
+        for j in range(len(q)):
+            q[j] = configurations[k, j]
+        limit = min(smallest + slack, largest)
+        found = gap(world, limit, memory)
+        gaps[k] = found if found < limit else largest
+        if wanted == GAPS:
+            smallest = max(min(smallest, found), floor)
+        elif wanted == FIRST and found < 0.0:
+            return k + 1
+    return len(configurations)

@@ -242,14 +242,17 @@ def obstacle_nodes(
         scene_from_base: (4, 4) pose of the base.
         nodes: (nodes,) the result: `NODE` as whole numbers.
     """
-    first = np.empty(SHAPE, np.float32)
+    first, second, tomato = np.empty(SHAPE, np.float32), np.empty(SHAPE, np.float32), np.empty(SHAPE, np.int16)
     _to_others(capsules, boxes, first)
-    second, tomato = first.copy(), np.full(SHAPE, -1, np.int16)
+    for x in range(_X):
+        for y in range(_Y):
+            for z in range(_Z):
+                second[x, y, z], tomato[x, y, z] = first[x, y, z], -1
     squares, own = np.empty(_Z, np.float32), np.empty(_Z, np.float32)
     base = scene_from_base
     for k in range(len(tomatoes)):
-        center_x, center_y, center_z, radius = tomatoes[k]
-        size = semi_axes[k].max() if stretched[k] else radius
+        center_x, center_y, center_z, radius = tomatoes[k, 0], tomatoes[k, 1], tomatoes[k, 2], tomatoes[k, 3]
+        size = max(semi_axes[k, 0], max(semi_axes[k, 1], semi_axes[k, 2])) if stretched[k] else radius
         reach, number = size + MAX_DISTANCE, np.int16(k)
         low_x, high_x = _range(center_x, reach, _ORIGIN_X, _X)
         low_y, high_y = _range(center_y, reach, _ORIGIN_Y, _Y)
@@ -289,9 +292,12 @@ def obstacle_nodes(
                     s[z] = nearest if closer else other
                     f[z] = d if closer else nearest
                     index[z] = number if closer else known
-    firsts, seconds, indices = first.ravel(), second.ravel(), tomato.ravel()
-    for i in range(len(nodes)):
-        d = firsts[i] if firsts[i] > _DEEP else _DEEP
-        other = seconds[i] if seconds[i] > _DEEP else _DEEP
-        both = np.uint64(_half_bits(d) | (_half_bits(other) << np.uint32(16)))
-        nodes[i] = both | (np.uint64(indices[i] & 0xFFFF) << np.uint64(32))
+    i = 0
+    for x in range(_X):
+        for y in range(_Y):
+            for z in range(_Z):
+                d = first[x, y, z] if first[x, y, z] > _DEEP else _DEEP
+                other = second[x, y, z] if second[x, y, z] > _DEEP else _DEEP
+                both = np.uint64(_half_bits(d) | (_half_bits(other) << np.uint32(16)))
+                nodes[i] = both | (np.uint64(tomato[x, y, z] & 0xFFFF) << np.uint64(32))
+                i += 1

@@ -20,7 +20,7 @@ def arm_reaches(robot: Robot) -> Array:
 
 
 def joint_reaches(model: mujoco.MjModel) -> Array:
-    """Return (joints,) the largest motion of any point of the arm per radian or metre of each joint, metres.
+    """Return the largest motion (joints,) of any point of the arm per radian or metre of each joint, metres.
 
     For a slide it is 1. For a hinge it is the largest distance of a moved point from its axis, computed from the tool
     inwards: parts that turn with a joint and no later one are measured in place; everything beyond the next joint lies

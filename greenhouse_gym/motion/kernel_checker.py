@@ -29,41 +29,52 @@ _ARM_FIELDS = (
     "jnt_axis", "site_bodyid", "site_pos", "site_quat", "exclude_signature",
 )  # fmt: skip
 _GEOM_FIELDS = ("bodyid", "type", "pos", "quat", "size", "contype", "conaffinity", "margin")
+_NO_MARKS = np.empty(0, dtype=np.bool_)
 _CACHE_SIZE = 256  # arms, about 2 MB
 _WORLD_TYPES = (*_ARM_TYPES, _PLANE, int(mujoco.mjtGeom.mjGEOM_ELLIPSOID), int(mujoco.mjtGeom.mjGEOM_BOX))
 
 
 class KernelChecker(CollisionChecker):
-    """A `CollisionChecker` by kernels; `search_checker` makes them."""
+    """`CollisionChecker` by compiled kernels; made by `search_checker`."""
 
     def __init__(self, model: mujoco.MjModel, reaches: Array | None, world: World):
-        from greenhouse_gym.motion import collision_kernels
-
         super().__init__(model, reaches)
-        self.world, self._kernels = world, collision_kernels
+        self.world = world
 
     def are_free(self, configurations: Array) -> npt.NDArray[np.bool_]:
         """Return whether each of some configurations (k, joints) is collision-free, (k,)."""
-        touching = np.empty(len(configurations), dtype=np.bool_)
-        self._kernels.contacts(self.world, np.ascontiguousarray(configurations, dtype=np.float64), touching)
-        self.checks += len(touching)
-        return ~touching
-
-    def inside_is_free(self, start: Array, end: Array, resolution: float) -> bool:
-        """Return whether a motion between free ends is free, without checking the ends."""
-        if tuple(start) > tuple(end):
-            start, end = end, start
-        motion = end - start
-        steps = self._steps(motion, resolution)
-        checks = self._kernels.contact_along(self.world, np.ascontiguousarray(start), motion, steps)
-        self.checks += checks or max(steps - 1, 0)
-        return checks == 0
+        found = contacts_in(self.world, configurations)
+        self.checks += len(found)
+        return ~found
 
     def _all_free(self, configurations: Iterable[npt.ArrayLike]) -> bool:
         q = configurations if isinstance(configurations, np.ndarray) else np.array(tuple(configurations))
-        first = self._kernels.first_contact(self.world, np.ascontiguousarray(q, dtype=np.float64))
-        self.checks += len(q) if first < 0 else first + 1
-        return first < 0
+        found = contacts_in(self.world, q, first=True)
+        self.checks += len(found)
+        return not found.any()
+
+
+def contacts_in(world: World, configurations: Array, first: bool = False) -> npt.NDArray[np.bool_]:
+    """Return whether each of some configurations (k, n) is in collision, (k,); with ``first``, up to the first one."""
+    from greenhouse_gym.motion.collision_kernels import CONTACTS, FIRST, smallest_gaps
+
+    gaps = np.empty(len(configurations))
+    q = np.ascontiguousarray(configurations, dtype=np.float64)
+    count = smallest_gaps(world, q, FIRST if first else CONTACTS, 0.0, 0.0, 0.0, gaps, _NO_MARKS)
+    return gaps[:count] < 0.0
+
+
+def gaps_in(world: World, configurations: Array, largest: float, slack: float = np.inf, floor: float = 0.0) -> Array:
+    """Return the smallest distances beyond the margins in some configurations (k, n), (k,) metres.
+
+    Arguments are those of `greenhouse_gym.motion.collision_kernels.smallest_gaps`.
+    """
+    from greenhouse_gym.motion.collision_kernels import GAPS, smallest_gaps
+
+    gaps = np.empty(len(configurations))
+    q = np.ascontiguousarray(configurations, dtype=np.float64)
+    smallest_gaps(world, q, GAPS, largest, slack, floor, gaps, _NO_MARKS)
+    return gaps
 
 
 def search_checker(model: mujoco.MjModel, reaches: Array | None = None) -> CollisionChecker:

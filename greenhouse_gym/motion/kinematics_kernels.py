@@ -55,20 +55,24 @@ def joint_frames(joints, q, frames):
     """Write the frames after each joint: rotation by rows, position; then the anchor and the axis of the joint."""
     r, px, py, pz = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), 0.0, 0.0, 0.0
     for j in range(len(joints)):
-        o = joints[j]
-        x, y, z = applied(r, o[3], o[7], o[11])
+        o = (
+            joints[j, 0], joints[j, 1], joints[j, 2], joints[j, 4], joints[j, 5], joints[j, 6], joints[j, 8],
+            joints[j, 9], joints[j, 10],
+        )  # fmt: skip
+        axis = (joints[j, 12], joints[j, 13], joints[j, 14])
+        x, y, z = applied(r, joints[j, 3], joints[j, 7], joints[j, 11])
         px, py, pz = px + x, py + y, pz + z
-        r = _product(r, (o[0], o[1], o[2], o[4], o[5], o[6], o[8], o[9], o[10]))
-        x, y, z = applied(r, o[12], o[13], o[14])
-        f = frames[j]
-        f[12], f[13], f[14], f[15], f[16], f[17] = px, py, pz, x, y, z
-        if o[15] > 0.0:
+        r = _product(r, o)
+        x, y, z = applied(r, axis[0], axis[1], axis[2])
+        frames[j, 12], frames[j, 13], frames[j, 14] = px, py, pz
+        frames[j, 15], frames[j, 16], frames[j, 17] = x, y, z
+        if joints[j, 15] > 0.0:
             px, py, pz = px + q[j] * x, py + q[j] * y, pz + q[j] * z
         else:
-            r = _product(r, _turned((o[12], o[13], o[14]), q[j]))
+            r = _product(r, _turned(axis, q[j]))
         for k in range(9):
-            f[k] = r[k]
-        f[9], f[10], f[11] = px, py, pz
+            frames[j, k] = r[k]
+        frames[j, 9], frames[j, 10], frames[j, 11] = px, py, pz
 
 
 @inlined
@@ -97,7 +101,7 @@ def _cross(a, b):
 
 @kernel(
     "i8(f8[:, ::1], f8[::1], f8[::1], f8[::1], f8[::1], f8[::1], f8[::1], f8[::1], i8, f8[:, ::1], b1[::1])",
-    writes=("guesses", "done"),
+    writes=("joints", "guesses", "done"),
 )
 def bring_onto(
     joints: Array,

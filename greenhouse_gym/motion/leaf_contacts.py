@@ -20,7 +20,7 @@ _STEP = 0.01  # metres that any point of the arm moves between two configuration
 
 
 class LeafContacts:
-    """Finds the leaves that an arm touches; several threads may use it.
+    """Finder of the leaves that an arm touches; several threads may use it.
 
     Args:
         compiled: The scene with its arm.
@@ -44,9 +44,10 @@ class LeafContacts:
         """Return the leaves touched in some of the configurations (k, joints): indices into `Shapes.leaves`."""
         hit = np.zeros(self._checker.model.ngeom, dtype=np.bool_)
         if self._world is not None:
-            from greenhouse_gym.motion.leaf_kernels import geoms_in_contact
+            from greenhouse_gym.motion.collision_kernels import GAPS, smallest_gaps
 
-            geoms_in_contact(self._world, np.ascontiguousarray(configurations, dtype=np.float64), hit)
+            q, gaps = np.ascontiguousarray(configurations, dtype=np.float64), np.empty(len(configurations))
+            smallest_gaps(self._world, q, GAPS, 0.0, 0.0, 0.0, gaps, hit)
         else:
             with self._lock:
                 for configuration in configurations:

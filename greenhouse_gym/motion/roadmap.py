@@ -51,7 +51,7 @@ _MAX_MOTIONS = 30  # of a path
 
 
 class RoadmapNodes(NamedTuple):
-    """Nodes of a roadmap.
+    """Arrays of the nodes of a roadmap.
 
     Attributes:
         configurations: (k, j) goals first, then nodes on paths to them, radians.
@@ -65,7 +65,7 @@ class RoadmapNodes(NamedTuple):
 
 
 class Waypoint(NamedTuple):
-    """The next straight motion.
+    """Next straight motion on a roadmap.
 
     Attributes:
         configuration: (j,) its end, radians.

@@ -76,11 +76,11 @@ class _Budget:
 
     @property
     def is_used_up(self) -> bool:
-        """True once nothing is left."""
+        """True once the time or the checks are used up."""
         return (self._time is not None and self._time <= 0) or (self._checks is not None and self._checks <= 0)
 
     def search(self, leaves: str | npt.NDArray[np.int64], goals: Array | None, fraction: float) -> PlanResult:
-        """Search with a fraction of what is left; each search gets some."""
+        """Search with a fraction of the remaining budget, at least a millisecond and one check."""
         seconds = None if self._time is None else max(self._time * fraction, 1e-3)
         checks = None if self._checks is None else max(int(self._checks * fraction), 1)
         result = self._search(leaves, goals, seconds, checks)

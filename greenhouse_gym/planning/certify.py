@@ -237,7 +237,7 @@ def shortest_free(checker: CollisionChecker, robot: Robot, results: Sequence[Pla
 def _search(
     checker: ProvingChecker, compiled: CompiledScene, tomato: int, goals: Array, seed: int, checks: int
 ) -> PlanResult:
-    """Run RRTConnect once, limited by the number of checks alone.
+    """Run RRTConnect once, limited only by the number of checks.
 
     Up to `MAX_CHECKS`, which rate a target, it takes up the goals one by one, so that ratings stay comparable.
     """

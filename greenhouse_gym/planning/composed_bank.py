@@ -1,4 +1,4 @@
-"""Scenes without end: a bank whose training scenes are composed when they are first used."""
+"""Bank of any number of training scenes, each composed when it is first used."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.common.jit import inlined, kernel
-from greenhouse_gym.motion.collision_kernels import WORLD, Array, World, contacts_along, gap, memory_for
+from greenhouse_gym.motion.collision_kernels import WORLD, Array, World, gap, memory_for
 
 Integers = npt.NDArray[np.int64]
 
@@ -24,8 +24,12 @@ _TURN, _CHECKS, _GOALS, _FIRST, _SECOND, _SAMPLES = range(6)  # entries of the s
 
 @inlined
 def _free_inside(world, reaches, resolution, a, b, memory):
-    """Return the number of checks of the motion between two free configurations, and whether it is free."""
-    start, end, length, motion = a, b, 0.0, memory[4]
+    """Check the inner points of the motion between two free configurations, in `collision.halving_order`.
+
+    Returns:
+        The number of checks, negative if the motion is not free.
+    """
+    start, end, length, q, motion = a, b, 0.0, memory[0], memory[1]
     for j in range(len(a)):
         if a[j] != b[j]:
             if a[j] > b[j]:
@@ -35,8 +39,27 @@ def _free_inside(world, reaches, resolution, a, b, memory):
         motion[j] = end[j] - start[j]
         length += reaches[j] * abs(motion[j])
     steps = math.ceil(length / resolution)
-    checks = contacts_along(world, start, motion, steps, memory)
-    return (checks, False) if checks > 0 else (max(steps - 1, 0), True)
+    checks, bits = 0, 0
+    while (1 << bits) <= steps - 1:
+        bits += 1
+    for index in range(1, 1 << bits):
+        reverse = 0
+        for bit in range(bits):
+            reverse |= ((index >> bit) & 1) << (bits - 1 - bit)
+        if reverse < steps:
+            fraction = reverse / steps
+            for j in range(len(q)):
+                q[j] = start[j] + fraction * motion[j]
+            checks += 1
+            if gap(world, 0.0, memory) < 0.0:
+                return -checks
+    return checks
+
+
+@inlined
+def _copy(source, target):
+    for j in range(len(target)):
+        target[j] = source[j]
 
 
 @inlined
@@ -54,11 +77,12 @@ def _grow(world, reaches, resolution, points, parents, size, towards, step, stat
         start = points[nearest, j]
         new[j] = towards[j] if arrives else start + step / math.sqrt(smallest) * (towards[j] - start)
     state[_CHECKS] += 1
-    if gap(world, new, 0.0, True, memory) < 0.0:
+    _copy(new, memory[0])
+    if gap(world, 0.0, memory) < 0.0:
         return 0
-    checks, free = _free_inside(world, reaches, resolution, points[nearest], new, memory)
-    state[_CHECKS] += checks
-    if not free:
+    checks = _free_inside(world, reaches, resolution, points[nearest], new, memory)
+    state[_CHECKS] += abs(checks)
+    if checks < 0:
         return 0
     parents[size] = nearest
     return 2 if arrives else 1
@@ -66,7 +90,7 @@ def _grow(world, reaches, resolution, points, parents, size, towards, step, stat
 
 @kernel(
     f"i8({WORLD}, f8[::1], f8, f8, i8, f8[:, ::1], f8[:, ::1], f8[:, :, ::1], i8[:, ::1], i8[::1], i8[::1])",
-    writes=("points", "parents", "sizes", "state"),
+    writes=("goals", "samples", "points", "parents", "sizes", "state"),
 )
 def grow_trees(
     world: World,
@@ -100,22 +124,24 @@ def grow_trees(
     Returns:
         `UNFINISHED`, `MET` or `FULL`.
     """
-    memory, x = memory_for(world), np.empty(points.shape[2])
+    memory, x = memory_for(world, True, np.empty(0, np.bool_)), np.empty(points.shape[2])
     room = parents.shape[1] - 2
     while state[_SAMPLES] < len(samples) and state[_CHECKS] < max_checks:
         turn = state[_TURN]
         if sizes[0] >= room or sizes[1] >= room:
             return FULL
         if state[_GOALS] < len(goals) and (sizes[1] == 0 or state[_GOALS] < sizes[1] // 2):
-            points[1, sizes[1]], parents[1, sizes[1]] = goals[state[_GOALS]], -1
+            _copy(goals[state[_GOALS]], points[1, sizes[1]])
+            parents[1, sizes[1]] = -1
             state[_GOALS] += 1
             sizes[1] += 1
-        sample, other = samples[state[_SAMPLES]], 1 - turn
+        _copy(samples[state[_SAMPLES]], x)
+        other = 1 - turn
         state[_TURN], state[_SAMPLES] = other, state[_SAMPLES] + 1
         a, b = points[turn], points[other]
-        if not _grow(world, reaches, resolution, a, parents[turn], sizes[turn], sample, step, state, memory):
+        if not _grow(world, reaches, resolution, a, parents[turn], sizes[turn], x, step, state, memory):
             continue
-        x[:] = a[sizes[turn]]
+        _copy(a[sizes[turn]], x)
         sizes[turn] += 1
         grown = 1
         while grown == 1 and state[_CHECKS] < max_checks:
@@ -128,14 +154,6 @@ def grow_trees(
             state[_FIRST + turn], state[_FIRST + other] = sizes[turn] - 1, sizes[other] - 1
             return MET
     return UNFINISHED
-
-
-@inlined
-def _free_between(world, reaches, resolution, a, b, memory):
-    """Return whether the motion between two configurations, both included, is free."""
-    if gap(world, a, 0.0, True, memory) < 0.0 or gap(world, b, 0.0, True, memory) < 0.0:
-        return False
-    return _free_inside(world, reaches, resolution, a, b, memory)[1]
 
 
 @inlined
@@ -152,10 +170,10 @@ def _without_detours(world, reaches, resolution, path, count, memory):
     first = 0
     while first + 2 < count:
         for last in range(count - 1, first + 1, -1):
-            if _free_inside(world, reaches, resolution, path[first], path[last], memory)[1]:
+            if _free_inside(world, reaches, resolution, path[first], path[last], memory) >= 0:
                 dropped = last - first - 1
                 for k in range(last, count):
-                    path[k - dropped] = path[k]
+                    _copy(path[k], path[k - dropped])
                 count -= dropped
                 break
         first += 1
@@ -178,7 +196,7 @@ def shorten(world: World, reaches: Array, resolution: float, draws: Array, idle:
     Returns:
         The new number of corners.
     """
-    memory, ends = memory_for(world), np.empty(len(path))
+    memory, ends = memory_for(world, True, np.empty(0, np.bool_)), np.empty(len(path))
     a, b = np.empty(path.shape[1]), np.empty(path.shape[1])
     count = _without_detours(world, reaches, resolution, path, count, memory)
     failures, k = 0, 0
@@ -201,16 +219,23 @@ def shorten(world: World, reaches: Array, resolution: float, draws: Array, idle:
         for j in range(len(a)):
             a[j] = path[first, j] + f * (path[first + 1, j] - path[first, j])
             b[j] = path[last, j] + g * (path[last + 1, j] - path[last, j])
-        if _length(a, b) > high - low - 1e-6 or not _free_between(world, reaches, resolution, a, b, memory):
+        if _length(a, b) > high - low - 1e-6:
+            continue
+        free = True
+        for end in (a, b):
+            _copy(end, memory[0])
+            free = free and gap(world, 0.0, memory) >= 0.0
+        if not free or _free_inside(world, reaches, resolution, a, b, memory) < 0:
             continue
         shift = first + 2 - last  # corners from first + 1 to last become two
         if shift > 0:
             for i in range(count - 1, last, -1):
-                path[i + shift] = path[i]
+                _copy(path[i], path[i + shift])
         elif shift < 0:
             for i in range(last + 1, count):
-                path[i + shift] = path[i]
-        path[first + 1], path[first + 2] = a, b
+                _copy(path[i], path[i + shift])
+        _copy(a, path[first + 1])
+        _copy(b, path[first + 2])
         count += shift
         failures = 0
     return _without_detours(world, reaches, resolution, path, count, memory)

@@ -223,7 +223,7 @@ def _set_checks(
         return (state_check,)
 
     class Motions(base.MotionValidator):  # type: ignore[misc,name-defined]
-        """Checks whole motions per call from C++, exactly as the finished path is checked."""
+        """Motion validator that checks whole motions per call from C++, exactly as the finished path is checked."""
 
         def checkMotion(self, first: Any, second: Any, last_valid: Any = None) -> bool:  # noqa: N802
             a = np.array([first[j] for j in range(joints)])

@@ -61,7 +61,7 @@ _POINTER = ctypes.c_void_p
 
 @dataclass(frozen=True)
 class Ompl:
-    """The installed OMPL.
+    """Modules and planners of the installed OMPL.
 
     Attributes:
         base: Its module ``base``.

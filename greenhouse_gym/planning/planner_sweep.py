@@ -209,7 +209,7 @@ def smoothness(path: Array) -> float:
 
 
 def bare_rate(scene: Scene, target: int, checks: int = 400) -> float:
-    """Measure the checks per second of MuJoCo alone at random configurations."""
+    """Measure the checks per second of bare MuJoCo at random configurations."""
     compiled = compile_scene(scene)
     model = planning_model(compiled, target)
     data = mujoco.MjData(model)

@@ -26,7 +26,7 @@ _SHORT_RANGE: Mapping[str, Value] = MappingProxyType({"range": 0.8})  # radians
 
 @dataclass(frozen=True)
 class PlannerInfo:
-    """A planner.
+    """Name, origin and properties of a planner.
 
     BiTRRT, CForest, pRRT and pSBL have no Python bindings in OMPL 1.7.0. They are called by their C++ symbols and by
     the memory layout of that one wheel. With any other build they may crash, which ends the planning process, not the

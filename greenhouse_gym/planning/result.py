@@ -25,7 +25,7 @@ Status = Literal[
 
 @dataclass(frozen=True, eq=False)
 class PlanResult:
-    """Result of planning.
+    """Result of `greenhouse_gym.planning.plan`.
 
     Attributes:
         status: One of `Status`.

@@ -1,4 +1,4 @@
-"""The caller's side of the OMPL process: it starts on first use, stays alive, is killed if it hangs, and is replaced.
+"""Caller's side of the OMPL process, which starts on first use, stays alive, and is replaced if it hangs or dies.
 
 Nothing that happens in that process harms the caller. It is a fresh interpreter that does not run the caller's
 ``__main__``, so planning works from a script without a main guard, an interactive session or a notebook.

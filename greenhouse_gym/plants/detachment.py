@@ -23,7 +23,7 @@ def first_geom(model: mujoco.MjModel, body: int) -> int:
 
 
 def stress(model: mujoco.MjModel, data: mujoco.MjData, bodies: Array, axes: Array) -> tuple[Array, Array]:
-    """Return pull (n,) beyond the own weight, N, and bend (n,) of the pedicels, radians, of fruit that hang.
+    """Return pull (n,) beyond the fruit's weight, N, and bend (n,), radians, of the pedicels of hanging fruit.
 
     Args:
         model: The model.
@@ -41,7 +41,7 @@ def stress(model: mujoco.MjModel, data: mujoco.MjData, bodies: Array, axes: Arra
 
 
 def load_of(pull: Array, bend: Array, mechanics: PlantMechanics) -> Array:
-    """Return the load of pedicels as a fraction of what they bear; they part at 1."""
+    """Return the load of pedicels as a fraction of their strength; they part at 1."""
     return np.asarray(pull / mechanics.pull_limit + bend / mechanics.bend_limit)
 
 
@@ -133,7 +133,7 @@ def settle(model: mujoco.MjModel, data: mujoco.MjData, loose: int, crate: int, s
 
 
 def park(model: mujoco.MjModel, data: mujoco.MjData, loose: int) -> None:
-    """Put a loose body back where it waits for a fruit."""
+    """Park a loose body until the next fruit needs it."""
     geom, joint = first_geom(model, loose), int(model.body_jntadr[loose])
     model.geom_contype[geom] = model.geom_conaffinity[geom] = 0
     model.geom_rgba[geom, 3] = 0.0

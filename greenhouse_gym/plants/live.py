@@ -1,4 +1,4 @@
-"""Plants of one running simulation: what the arm does to them in an action, and what becomes of each fruit."""
+"""Plants of one running simulation: effects of the arm in an action, and the state of each fruit."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ class LivePlants:
             self._release()
 
     def after_step(self, pressed: dict[int, float]) -> None:
-        """Record what a physics step did.
+        """Record the effects of a physics step.
 
         Args:
             pressed: Forces of the arm on other things, N, by geom.
@@ -132,7 +132,7 @@ class LivePlants:
             self._force += held_force(self.data, self._ids)
 
     def finish_action(self) -> Felt:
-        """Decide what came off, came to rest or was damaged, with current kinematics."""
+        """Find the fruit that came off or came to rest and the organs damaged, with current kinematics."""
         steps, force = max(self._substeps, 1), self._force / max(self._substeps, 1)
         detached, knocked = self._part(self._pull / steps)
         if self.held >= 0 and np.linalg.norm(force) > self.planted.mechanics.cup_limit:
@@ -150,7 +150,7 @@ class LivePlants:
 
     @property
     def crate(self) -> Crate:
-        """The crate."""
+        """Crate of the layout."""
         return self._layout.crate
 
     @property
@@ -194,7 +194,7 @@ class LivePlants:
         return int(left[(offsets * offsets).sum(axis=1).argmin()])
 
     def _catch(self) -> None:
-        """Hold the nearest fruit that the cup seals on."""
+        """Hold the nearest fruit that the cup can seal on."""
         model, data = self.model, self.data
         site = data.site("tip")
         tip, axis = site.xpos, site.xmat.reshape(3, 3)[:, 2]

@@ -1,4 +1,4 @@
-"""The plants of a running simulation as a scene to plan in."""
+"""Scene to plan in, made of the plants of a running simulation."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _AT_REST = 2e-4  # metres and radians by which an organ may have moved and still
 
 
 class LiveScene(NamedTuple):
-    """A scene as its plants hang now.
+    """Scene with its plants in their current poses.
 
     Attributes:
         scene: The scene, with the crate; fruit that came off are left out.
@@ -26,7 +26,7 @@ class LiveScene(NamedTuple):
 
 
 def live_scene(plants: LivePlants, compiled: CompiledScene, leaves: bool, around_crate: float = 0.0) -> LiveScene:
-    """Return the true scene with the plants as they hang now.
+    """Return the true scene with the plants in their current poses.
 
     Args:
         plants: The plants.

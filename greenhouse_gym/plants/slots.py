@@ -82,7 +82,7 @@ def check_fits(topology: Topology, wanted: Sequence[int], layout: Layout, name: 
 def plant(
     compiled: CompiledScene, topology: Topology, wanted: Sequence[int], layout: Layout, mechanics: PlantMechanics
 ) -> Planted:
-    """Fill the slots of a model; all that is not in a slot becomes static, and leaves among it let the arm pass.
+    """Fill the slots of a model; other organs become static, and static leaves let the arm pass.
 
     Args:
         compiled: The scene, compiled with the slots of the layout. Its model is changed.
@@ -151,7 +151,7 @@ def _make_static(compiled: CompiledScene, topology: Topology) -> None:
 
 
 class _Filler:
-    """Moves shapes of a scene from its static slots into bodies."""
+    """Filling of a model: shapes of a scene move from its static slots into bodies."""
 
     def __init__(self, compiled: CompiledScene, mechanics: PlantMechanics):
         self._model, self._first = compiled.model, int(compiled.obstacle_geoms.start)
@@ -178,7 +178,7 @@ class _Filler:
         self._put(body, _joined(_chosen(arrays, rows), pedicels), colors, truss.root)
 
     def leaf(self, body: int, leaf: Leaf) -> None:
-        """Fill a leaf."""
+        """Fill the slots of a leaf."""
         self._hide([*leaf.rows, *leaf.plates])
         self._hinges(body, leaf, self._mechanics.leaf_stiffness)
         plates = merged(_chosen(self._arrays, leaf.plates), PLATES)
@@ -230,7 +230,7 @@ class _Filler:
                     model.qpos_spring[qpos] = torque[0] / stiffness
 
     def _part_overlaps(self, data: mujoco.MjData, ids: SlotIds) -> None:
-        """Let loose fruit pass the static shapes that fruit overlap where they were scanned, which would eject them."""
+        """Let loose fruit pass the static shapes that they overlapped in the scan, which would eject them."""
         model = self._model
         static = self._first + np.arange(len(self._arrays.kinds))
         static = static[(model.geom_conaffinity[static] & LOOSE) > 0]

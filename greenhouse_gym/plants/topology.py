@@ -87,7 +87,7 @@ class Leaf(Branch):
 
 @dataclass(frozen=True, eq=False)
 class Topology:
-    """Organs of a row.
+    """Trusses, fruit and leaves of a row.
 
     Attributes:
         trusses: Trusses with at least one fruit.

@@ -109,7 +109,7 @@ def _change_histograms(
 
 
 def _overshoot(counts: npt.NDArray[np.int64]) -> int:
-    """Return by how many pixels depth edges lie beyond color edges, from counts per offset (2, offsets).
+    """Return the pixels from color edges to the depth edges beyond them, from counts per offset (2, offsets).
 
     Where the two images are misaligned, edges on one side lie as much too far out as on the other too far in.
     """

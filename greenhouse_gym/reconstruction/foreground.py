@@ -1,4 +1,4 @@
-"""Foreground masks: the paper's first step keeps what is nearer than 60 cm."""
+"""Foreground masks: the paper's first step keeps everything nearer than 60 cm."""
 
 from __future__ import annotations
 

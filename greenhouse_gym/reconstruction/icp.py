@@ -109,7 +109,7 @@ def assess_pose(
 
 
 def motion_constraint(points: Array, normals: Array, facing: Array, weight: Array) -> Array:
-    """Return how strongly partners constrain each independent motion, (6,) ascending.
+    """Return the strength (6,) with which partners constrain each independent motion, ascending.
 
     Each entry is the mean square motion of the points (k, 3) along their normals, as a fraction of all of their motion.
     These are the eigenvalues of the registration's information, lengths counted in radii of the points. Each entry

@@ -33,7 +33,7 @@ _MIN_CONTRADICTING = 2  # stations that must see through a point to remove it
 
 @dataclass(frozen=True, eq=False)
 class MergedStations:
-    """Merged stations."""
+    """Cloud of all stations, one point per voxel."""
 
     cloud: Cloud  # one point per voxel
     station: npt.NDArray[np.int32]  # (n,) number of the station that observed each point first

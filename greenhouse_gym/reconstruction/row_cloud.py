@@ -150,7 +150,7 @@ def remove_outliers(row: RowCloud, outlier: npt.NDArray[np.bool_]) -> RowCloud:
 
 
 def _warnings(registered: RegisteredStations) -> tuple[str, ...]:
-    """Return sentences on what a user should check."""
+    """Return sentences on problems that a user should check."""
     warnings = []
     if len(registered.segments) > 1:
         parts = "; ".join(f"{s[0]} to {s[-1]} ({len(s)} stations)" for s in registered.segments)

@@ -1,4 +1,4 @@
-"""Station registration: register each station to the ones before it, skip what cannot be registered.
+"""Station registration: register each station to the ones before it, and skip those that cannot be registered.
 
 A station that fits no segment of the row begins a new one: a gap too wide to be bridged splits the row, and a station
 out of place remains alone and is skipped.

@@ -224,7 +224,7 @@ class CameraRig:
 
 
 def scene_from_bases(frame: Array) -> Array:
-    """Return (n, 4, 4) poses scene_from_base for base frames (n, 5): position, cosine and sine of the heading."""
+    """Return poses scene_from_base (n, 4, 4) for base frames (n, 5): position, cosine and sine of the heading."""
     result = np.zeros((len(frame), 4, 4))
     result[:, 0, 0] = result[:, 1, 1] = frame[:, 3]
     result[:, 1, 0], result[:, 0, 1] = frame[:, 4], -frame[:, 4]
@@ -234,7 +234,7 @@ def scene_from_bases(frame: Array) -> Array:
 
 
 def _camera_poses(cameras: Sequence[DepthCamera], base_from_tip: Array) -> Array:
-    """Return (n, c, 4, 4) camera poses base_from_camera for tool poses base_from_tip (n, 4, 4)."""
+    """Return camera poses base_from_camera (n, c, 4, 4) for tool poses base_from_tip (n, 4, 4)."""
     result = np.empty((len(base_from_tip), len(cameras), 4, 4))
     for k, camera in enumerate(cameras):
         result[:, k] = base_from_tip @ TIP_FROM_WRIST if camera.mount == "wrist" else _BASE_FROM_MAST

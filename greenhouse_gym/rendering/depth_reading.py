@@ -24,7 +24,7 @@ _TOO_NEAR = 1.5  # holes that border on surfaces within this many minimum ranges
 
 @dataclass(frozen=True)
 class DepthReading:
-    """Interpretation of an image of h by w pixels.
+    """Surface points and free space read from a depth image (h, w).
 
     Attributes:
         depth: (h, w) depth of a surface along the view, metres; 0 without a reading.
@@ -86,7 +86,7 @@ def _free(disparity: Array, scale: float) -> Array:
 
 
 def _uninformative(disparity: Array, min_range: float, scale: float) -> npt.NDArray[np.bool_]:
-    """Return where (h, w) a missing reading may be a lost one, or a surface nearer than the minimum range (metres)."""
+    """Return a mask (h, w) of missing readings that may be lost, or surfaces nearer than the minimum range (metres)."""
     holes, count = label(binary_erosion(disparity == 0, _NEIGHBORS, border_value=1), _NEIGHBORS)
     border = np.where(disparity > 0, grey_dilation(holes, size=_BORDER), 0)
     nearest = np.asarray(maximum(disparity, border, np.arange(count + 1)))

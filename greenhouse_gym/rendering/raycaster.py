@@ -41,7 +41,7 @@ class Hits(NamedTuple):
 
 
 class RayCaster:
-    """Casts rays against models of one layout, one model at a time.
+    """Ray caster for models of one layout, one model at a time.
 
     Args:
         compiled: Any scene of that layout.

@@ -130,7 +130,7 @@ def render_scene(
 def render_depth(
     model: mujoco.MjModel, data: mujoco.MjData, camera: Viewpoint | None = None, width: int = 640, height: int = 480
 ) -> npt.NDArray[np.float32]:
-    """Return (height, width) depth along the optical axis, metres, 0 without a hit; arguments as in `render_scene`.
+    """Return depth (height, width) along the optical axis, metres, 0 without a hit; arguments as in `render_scene`.
 
     Raises:
         InvalidValueError: A size is not positive.
@@ -194,7 +194,7 @@ def surface_colors(rgba: npt.NDArray[np.float32], normal: Array, rays: Array, di
 
 
 def background_fade(distance: Array) -> Array:
-    """Return how much surfaces at distances (...), metres, fade into the background, 0 to 1."""
+    """Return the fraction (...), 0 to 1, by which surfaces at distances (...), metres, fade into the background."""
     return np.asarray(np.clip((distance - _FADE[0]) / (_FADE[1] - _FADE[0]), 0.0, 1.0))
 
 

@@ -78,7 +78,7 @@ class Picture:
 
 
 class Viewer:
-    """Renders simulations whose models share a layout.
+    """Viewer of simulations whose models share a layout.
 
     Args:
         mode: One of `RENDER_MODES`.

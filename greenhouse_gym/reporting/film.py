@@ -1,4 +1,4 @@
-"""Episodes as films."""
+"""Films of an agent's episodes."""
 
 from __future__ import annotations
 

@@ -77,7 +77,7 @@ def whole_numbers(axes: Axes) -> None:
 
 
 def logarithmic(axes: Axes, low: float, high: float) -> None:
-    """Make the horizontal axis logarithmic, with ticks at 1, 2 and 5 of each decade, or at 1 alone if it is long."""
+    """Make the horizontal axis logarithmic, with ticks at 1, 2 and 5 of each decade, or only at 1 if it is long."""
     axes.set_xscale("log")
     axes.set_xlim(low, high)
     digits = (1.0,) if high > 1e3 * low else (1.0, 2.0, 5.0)

@@ -29,7 +29,7 @@ _KINDS = {"sphere": 0, "ellipsoid": 0, "capsule": 1, "cylinder": 2, "box": 3}
 
 
 class Motion(NamedTuple):
-    """A path of the arm.
+    """Path of the arm with its name and color.
 
     Attributes:
         name: Name of the agent.
@@ -115,7 +115,7 @@ def _witnesses(scene: Scene, robot: Robot) -> dict[str, Any]:
 
 
 def _paths(replay: Replay) -> dict[str, Any]:
-    """Return the agents' paths, to be shown together and from nearer."""
+    """Return the agents' paths, which the page shows all at once and from a nearer viewpoint."""
     view = {"legend": "agent", "choice": "arm of", "together": True, "far": 2.7, "middle": [0.35, 0.0, 1.35]}
     return view | {"motions": [_motion(motion) for motion in replay.motions]}
 

@@ -1,4 +1,4 @@
-"""Reading of an arm's MJCF file: the arm alone, without the settings that its file holds for a whole world.
+"""Reading of an arm's MJCF file: only the arm, without the file's settings for a whole world.
 
 MuJoCo's reader works without limits on time and memory, so what could exhaust them is checked first.
 """
@@ -38,7 +38,7 @@ _NO_VALUES = ("name", "classname", "compiler", "signature", "id", "info")  # of 
 
 
 def read_arm(path: Path) -> mujoco.MjSpec:
-    """Read the arm in an MJCF file: its bodies and what belongs to them, such as joints, actuators and assets.
+    """Read the arm in an MJCF file: its bodies with their joints, actuators and assets.
 
     Options, flags, memory, visual settings, statistics, lights, cameras and defaults for later elements are the
     scene's; a warning names those that would have changed its physics. The base has a plain pose, without a frame.
@@ -134,7 +134,7 @@ def _check_assets(path: Path, spec: mujoco.MjSpec) -> None:
 
 
 def _drop_world_settings(path: Path, spec: mujoco.MjSpec) -> None:
-    """Reset what holds for a whole world, and warn of what would have changed its physics."""
+    """Reset the settings of a whole world, and warn of those that would have changed its physics."""
     own = mujoco.MjSpec()
     dropped = list(_changed_options(spec.option, own.option))
     dropped += [f"size {name}={getattr(spec, name)}" for name in _MEMORY if getattr(spec, name) != getattr(own, name)]

@@ -26,7 +26,7 @@ _ALIGNED = 1e-6  # largest sine of an angle between two axes, and largest distan
 
 @dataclass(frozen=True, eq=False)
 class Robot:
-    """A robot arm.
+    """Robot arm, read from an MJCF file.
 
     A joint turns (a hinge, radians) or slides (a rail or a lift, metres); "radians" below means either unit.
 
@@ -105,7 +105,7 @@ class Robot:
             configurations[..., -1] = reference[-1]
 
     def spec(self) -> mujoco.MjSpec:
-        """Return a new, editable MuJoCo specification of the arm alone."""
+        """Return a new, editable MuJoCo specification of only the arm."""
         return self.specification.copy()
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Robot:

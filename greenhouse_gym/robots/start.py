@@ -137,7 +137,7 @@ def foot_depth(model: mujoco.MjModel) -> float:
 
 
 def _points(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
-    """Return (k, 3) the joints, moving geoms and sites of an arm relative to its base, metres."""
+    """Return the positions (k, 3) of an arm's joints, moving geoms and sites relative to its base, metres."""
     points = np.concatenate([data.xanchor, data.geom_xpos[model.geom_bodyid > 0], data.site_xpos])
     return points - data.xpos[1]
 
@@ -149,7 +149,7 @@ def _spread(model: mujoco.MjModel, data: mujoco.MjData) -> float:
 
 
 def _unreadiness(model: mujoco.MjModel, data: mujoco.MjData) -> float:
-    """Return how far an arm is from being ready: the excess over the limits, less its smallest singular value."""
+    """Return the cost of a start: the excess over the limits, less the arm's smallest singular value."""
     site = model.site("tip").id
     points, tip = _points(model, data), data.site_xpos[site] - data.xpos[1]
     angle = np.arccos(np.clip(data.site_xmat[site, 2], -1.0, 1.0))

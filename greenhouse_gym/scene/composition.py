@@ -121,7 +121,7 @@ def _stands(scene: Scene) -> list[tuple[Array, Shapes]]:
 
 
 def _drawn(draw: Callable[[], Scene], rng: np.random.Generator) -> tuple[Array, Shapes]:
-    """Draw a plant.
+    """Draw a plant at random.
 
     The caller's scenes have complete plants; one with none gives nothing to the stand.
     """

@@ -8,6 +8,7 @@ no other part of the arm, touch it.
 from __future__ import annotations
 
 import copy
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -179,7 +180,10 @@ def compile_scene(
     """
     arm = get_robot(robot)
     if capacity is None:
-        return _compiled(scene, arm, None, edit)
+        spec = scene_spec(scene, arm)
+        if edit is not None:
+            edit(spec)
+        return _compiled(spec, scene, arm, scene.count)
     placement = scene.placement
     place = (*placement.position.tolist(), placement.yaw, placement.shoulder_height)
     empty = _without_obstacles(arm, capacity, edit, place)
@@ -200,18 +204,32 @@ def _without_obstacles(
     """Compile an arm at a position (x, y, z, yaw, shoulder height) with empty obstacle slots."""
     *position, yaw, height = place
     placement = ArmPlacement(position=np.array(position), yaw=yaw, shoulder_height=height)
-    return _compiled(Surroundings(name="empty", placement=placement), robot, capacity, edit)
+    scene = Surroundings(name="empty", placement=placement)
+    with _editing:
+        spec = _spec_with_slots(robot, capacity, edit, _has_column(scene, robot))
+        _place_arm(spec, scene, robot)
+        return _compiled(spec, scene, robot, capacity)
 
 
-def _compiled(
-    scene: Surroundings, arm: Robot, capacity: int | None, edit: Callable[[mujoco.MjSpec], None] | None
-) -> CompiledScene:
-    spec = scene_spec(scene, arm, capacity)
+_editing = threading.Lock()  # of the shared specifications
+
+
+@lru_cache(maxsize=8)
+def _spec_with_slots(
+    robot: Robot, capacity: int, edit: Callable[[mujoco.MjSpec], None] | None, column: bool
+) -> mujoco.MjSpec:
+    """Return an arm with empty slots and, perhaps, a column; MuJoCo takes seconds to add 20,000 geoms to it."""
+    height = robot.shoulder_height + column
+    empty = Surroundings(name="empty", placement=ArmPlacement(shoulder_height=height))
+    spec = scene_spec(empty, robot, capacity)
     if edit is not None:
         edit(spec)
+    return spec
+
+
+def _compiled(spec: mujoco.MjSpec, scene: Surroundings, arm: Robot, count: int) -> CompiledScene:
     model = spec.compile()
     first = model.geom("floor").id + (2 if _has_column(scene, arm) else 1)
-    count = scene.count if capacity is None else capacity
     return CompiledScene(
         scene=scene,
         robot=arm,
@@ -237,16 +255,23 @@ def _place_arm(spec: mujoco.MjSpec, scene: Surroundings, robot: Robot) -> None:
     base = spec.worldbody.first_body()
     heading = np.array([np.cos(scene.placement.yaw / 2), 0.0, 0.0, np.sin(scene.placement.yaw / 2)])
     rotation = np.empty(4)
-    mujoco.mju_mulQuat(rotation, heading, np.array(base.quat))  # robot files may rotate the base so that it faces ahead
+    mujoco.mju_mulQuat(rotation, heading, _base_rotation(robot))
     base.pos, base.quat = position, rotation
     if _has_column(scene, robot):
         floor = scene.placement.position[2]
         half = (position[2] - floor - cart_drop(robot.foot)) / 2
-        spec.worldbody.add_geom(
-            name="cart", type=mujoco.mjtGeom.mjGEOM_BOX, size=[CART_HALF_WIDTH, CART_HALF_WIDTH, half],
-            pos=[position[0], position[1], floor + half], quat=heading, rgba=[0.45, 0.45, 0.48, 1],
+        cart = spec.geom("cart") or spec.worldbody.add_geom(
+            name="cart", type=mujoco.mjtGeom.mjGEOM_BOX, rgba=[0.45, 0.45, 0.48, 1],
             contype=ARM_AND_CUP, conaffinity=ARM_AND_CUP,
         )  # fmt: skip
+        cart.size, cart.quat = [CART_HALF_WIDTH, CART_HALF_WIDTH, half], heading
+        cart.pos = [position[0], position[1], floor + half]
+
+
+@lru_cache(maxsize=64)
+def _base_rotation(robot: Robot) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    """Return the quaternion (4,) of the base in a robot's file, which may rotate it so that it faces ahead."""
+    return np.array(robot.spec().worldbody.first_body().quat)
 
 
 def colors_of(scene: Shapes) -> list[tuple[float, float, float, float]]:

@@ -80,7 +80,8 @@ def geoms_of(shapes: ShapeArrays) -> tuple[np.ndarray[tuple[int], np.dtype[np.in
             sizes[k, 1] = length / 2
             mujoco.mju_quatZ2Vec(quats[k], axes[k])
     rotations = shapes.rotations.reshape(-1, 9)
-    for k in np.flatnonzero((kinds == BOX) | (kinds == ELLIPSOID)).tolist():
+    turned = (rotations != np.eye(3).reshape(9)).any(axis=1)  # most boxes of observed points are not
+    for k in np.flatnonzero(((kinds == BOX) | (kinds == ELLIPSOID)) & turned).tolist():
         mujoco.mju_mat2Quat(quats[k], rotations[k])
     return kinds, (shapes.starts + shapes.ends) / 2, sizes, quats
 

@@ -12,7 +12,6 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, model_validat
 
 from greenhouse_gym.common.compression import compress, decompress
 from greenhouse_gym.crops.parts import SpaceBox
-from greenhouse_gym.crops.shape_tables import axis_aligned_boxes
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array, Vector, unchecked
 
@@ -158,8 +157,10 @@ def _boxes_of_blocks(
         blocks = _joined(blocks, axis)
     low, high = blocks[:, ::2], blocks[:, 1::2]
     centers = np.asarray(origin, dtype=np.float64) + (low + high) * (voxel / 2)
-    boxes = axis_aligned_boxes(centers, np.asarray((high - low) * (voxel / 2), dtype=np.float64))
-    rows = ((box.center, box.half_extents, box.rotation) for box in boxes)
+    halves, rotation = (high - low) * (voxel / 2), np.eye(3)
+    for array in (centers, halves, rotation):
+        array.setflags(write=False)
+    rows = ((center, half, rotation) for center, half in zip(centers, halves, strict=True))
     return unchecked(SpaceBox, ("center", "half_extents", "rotation"), rows)
 
 

@@ -68,14 +68,15 @@ def tree_over(positions: Array, quats: Array, boxes: Array, depth: Ids, child: I
     low, high = np.empty((count, 3)), np.empty((count, 3))
     corner, turned = np.empty(3), np.empty(3)
     for i in range(count):
-        w, x, y, z = quats[i]
+        w, x, y, z = quats[i, 0], quats[i, 1], quats[i, 2], quats[i, 3]
         turns = not (w == 1.0 and x == 0.0 and y == 0.0 and z == 0.0)
-        low[i], high[i] = np.inf, -np.inf
+        for axis in range(3):
+            low[i, axis], high[i, axis] = np.inf, -np.inf
         for v in range(8):
             for axis in range(3):
                 half = boxes[i, 3 + axis]
                 corner[axis] = boxes[i, axis] + half if (v >> axis) & 1 else boxes[i, axis] - half
-            a, b, c = corner
+            a, b, c = corner[0], corner[1], corner[2]
             turned[0], turned[1], turned[2] = a, b, c
             if turns:
                 s, t, u = w * a + y * c - z * b, w * b + z * a - x * c, w * c + x * b - y * a
@@ -86,16 +87,20 @@ def tree_over(positions: Array, quats: Array, boxes: Array, depth: Ids, child: I
                 p = turned[axis] + positions[i, axis]
                 low[i, axis] = p if p < low[i, axis] else low[i, axis]
                 high[i, axis] = p if p > high[i, axis] else high[i, axis]
-    keys = np.ascontiguousarray(positions.T)
-    ids = np.arange(count)
+    keys, ids = np.empty((3, count)), np.empty(count, np.int64)
+    for i in range(count):
+        ids[i] = i
+        for axis in range(3):
+            keys[axis, i] = positions[i, axis]
     stack = np.empty((2 * count + 2, 4), np.int64)  # first id, number of ids, depth, parent
     stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = 0, count, 0, -1
     size, nodes = 1, 0
     bottom, top = np.empty(3), np.empty(3)
     while size > 0:
         size -= 1
-        first, n, level, parent = stack[size]
-        bottom[:], top[:] = np.inf, -np.inf
+        first, n, level, parent = stack[size, 0], stack[size, 1], stack[size, 2], stack[size, 3]
+        for axis in range(3):
+            bottom[axis], top[axis] = np.inf, -np.inf
         for k in range(first, first + n):
             for axis in range(3):
                 bottom[axis] = min(bottom[axis], low[ids[k], axis])

@@ -28,7 +28,7 @@ def true_scene(scene: Scene) -> Scene:
 
 
 def known_scene(scene: Scene) -> Scene:
-    """Return what an agent may know of a scene: its shapes, placement and occupancy, and how it was scanned.
+    """Return the scene as an agent may know it: its shapes, placement, occupancy and capture protocol.
 
     Truth, targets (ratings and witnesses) and everything that names the row, from which its truth could be looked up or
     grown again, are left out.
@@ -46,7 +46,7 @@ def known_scene(scene: Scene) -> Scene:
 
 
 def without_plants(scene: Scene) -> Scene:
-    """Return a scene without obstacles and occupancy: only where the arm stands."""
+    """Return a scene without obstacles, targets and occupancy; only the arm's placement stays."""
     return scene.model_copy(update={"tomatoes": (), "stems": (), "clutter": (), "targets": (), "occupancy": None})
 
 

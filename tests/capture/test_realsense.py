@@ -19,7 +19,7 @@ from greenhouse_gym.errors import CameraError, FileFormatError
 pytest.importorskip("rosbags")
 libusb = pytest.importorskip("libusb_package")
 
-FRAMES = 4
+FRAMES = 5  # the recorder starts with the first of them: a busy machine gives its images times far apart
 RECORD = """
 import ctypes, sys, time
 import libusb_package
@@ -55,6 +55,7 @@ for sensor in sensors:
 for n in range(int(sys.argv[2])):
     random = np.random.default_rng(n)
     images = (random.integers(300, 900, (H, W)).astype(np.uint16), random.integers(0, 255, (H, W, 3)).astype(np.uint8))
+    ready = []
     for sensor, profile, image, size in zip((depth_sensor, color_sensor), (depth, color), images, (2, 3)):
         frame = rs.software_video_frame()
         frame.stride, frame.bpp, frame.pixels = W * size, size, np.ascontiguousarray(image)
@@ -62,6 +63,8 @@ for n in range(int(sys.argv[2])):
         frame.frame_number, frame.profile = n + 1, profile.as_video_stream_profile()
         if size == 2:
             frame.depth_units = 0.001
+        ready.append((sensor, frame))
+    for sensor, frame in ready:
         sensor.on_video_frame(frame)
     time.sleep(0.1)
 for sensor in sensors:
@@ -92,18 +95,17 @@ def number_of(frame: RgbdFrame) -> int:
 
 
 def test_a_recording_of_the_sdk_is_read_back(file: Path) -> None:
-    recording = open_recording(file)
-    assert len(recording) >= 2  # the recorder may leave out the first or the last frame of a stream
-    for station in recording:
-        assert station.frames["device_0"].intrinsics.fx == 50.0
-        number_of(station.frames["device_0"])
+    stations = list(open_recording(file))
+    assert all(station.frames["device_0"].intrinsics.fx == 50.0 for station in stations)
+    numbers = [number_of(station.frames["device_0"]) for station in stations]
+    assert numbers in ([0, 1, 2, 3, 4], [1, 2, 3, 4])
 
 
 def test_the_sdk_plays_its_recording_back_as_a_camera(file: Path) -> None:
     with realsense_cameras(playback=[file]) as live:
         assert live.rig.cameras["camera"].intrinsics.fx == 50.0
         numbers = [number_of(moment.frames["camera"]) for moment in live.moments]
-    assert numbers == list(range(FRAMES))
+    assert numbers in ([0, 1, 2, 3, 4], [1, 2, 3, 4])
 
 
 def test_the_command_records_what_is_played_back(file: Path, tmp_path: Path) -> None:

@@ -19,7 +19,6 @@ from greenhouse_gym.crops.shape_tables import (
     _decode,
     _encode,
     as_tables,
-    axis_aligned_boxes,
     from_tables,
     select_near,
     transform_tables,
@@ -199,16 +198,3 @@ def test_impossible_tables_are_refused(table: str, column: int, value: float) ->
         from_tables(tables)
     with pytest.raises(InvalidValueError, match="columns"):
         from_tables(tables._replace(spheres=np.zeros((2, 5))))
-
-
-def test_many_upright_boxes_are_what_single_ones_are() -> None:
-    random = np.random.default_rng(0)
-    centers, halves = random.normal(size=(5, 3)), random.uniform(0.01, 1.0, (5, 3))
-    for made, center, half in zip(axis_aligned_boxes(centers, halves), centers, halves, strict=True):
-        one = Box(center, half, np.eye(3))
-        for name in ("center", "half_extents", "rotation"):
-            np.testing.assert_array_equal(getattr(made, name), getattr(one, name))
-            assert not getattr(made, name).flags.writeable
-    assert axis_aligned_boxes(np.zeros((0, 3)), np.zeros((0, 3))) == []
-    with pytest.raises(InvalidValueError, match="positive"):
-        axis_aligned_boxes(centers, halves * [1.0, 1.0, 0.0])

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import count
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +13,7 @@ pytest.importorskip("torch")
 from greenhouse_gym.agents.policy_agent import PolicyAgent
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.evaluation import evaluate
-from greenhouse_gym.learning import DevicePpoSettings, train_ppo_on_device
+from greenhouse_gym.learning import DevicePpoSettings, device_ppo, train_ppo_on_device
 from greenhouse_gym.learning.device_ppo import DevicePpo
 from greenhouse_gym.learning.training_files import CURVE, read_curve
 from greenhouse_gym.scene import SceneBank
@@ -25,7 +27,8 @@ def test_policy_plays_in_mujoco(tmp_path):
     lines = []
     path = train_ppo_on_device(SMALL, tmp_path / "run", on_progress=lines.append)
     assert lines[-1]["steps"] == 2048
-    assert read_curve(tmp_path / "run" / CURVE)[-1]["steps"] == 2048
+    last = read_curve(tmp_path / "run" / CURVE)[-1]
+    assert (last["steps"], last["learning_rate"]) == (2048, SMALL.learning_rate / 4)  # of the last of four rollouts
     agent = PolicyAgent.load(path)
     assert agent.policy.training["steps"] == 2048
     result = evaluate(agent, "test", 2, bank="mini", progress=False)
@@ -41,14 +44,24 @@ def test_same_seed_same_policy():
         training.iterate(1.0)
         weights.append(training.policy().weights)
     assert all(np.array_equal(a, b) for a, b in zip(*weights, strict=True))
+    training.settings = replace(SMALL, divergence=1e-9)
+    for expected in (1.0, 1 / 1.5):
+        training.iterate(1.0)
+        assert training.learning_rate == pytest.approx(SMALL.learning_rate * expected)
 
 
-def test_interrupted_training_leaves_a_policy(tmp_path):
+def test_interrupted_training_of_limited_time_leaves_a_policy(tmp_path, monkeypatch):
+    rates = []
+
     def stop(line):
+        rates.append(line["learning_rate"])
         raise KeyboardInterrupt
 
+    ticks = count()
+    monkeypatch.setattr(device_ppo, "time", SimpleNamespace(monotonic=lambda: float(next(ticks))))
     with pytest.raises(KeyboardInterrupt):
-        train_ppo_on_device(SMALL, tmp_path / "run", on_progress=stop)
+        train_ppo_on_device(replace(SMALL, total_steps=10**9), tmp_path / "run", time_limit=3.5, on_progress=stop)
+    assert rates == [pytest.approx(SMALL.learning_rate * 0.5 / 3.5)]
     assert PolicyAgent.load(tmp_path / "run" / "policy").policy.training["algorithm"] == "PPO on a device"
 
 
@@ -56,6 +69,8 @@ def test_sizes_follow_the_device_and_sources_choose_the_rows():
     assert (DevicePpoSettings().num_envs, DevicePpoSettings().rollout_steps) == (512, 32)
     assert (DevicePpoSettings(device="cuda").num_envs, DevicePpoSettings(device="cuda").rollout_steps) == (4096, 24)
     assert DevicePpoSettings(num_envs=32).num_envs == 32
+    assert (DevicePpoSettings().hidden, DevicePpoSettings(device="cuda").hidden) == ((128, 128), (256, 256))
+    assert (DevicePpoSettings().epochs, DevicePpoSettings(device="cuda").epochs) == (2, 4)
     training = DevicePpo(replace(SMALL, sources=("own",), action="tip_velocity"))
     bank = training.env.simulation.sampler.bank
     assert {entry.source for entry in bank.manifest.scenes} == {"own"}

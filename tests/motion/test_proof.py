@@ -46,13 +46,14 @@ def test_mujoco_is_asked_less_often(scene: Scene, monkeypatch: pytest.MonkeyPatc
     start = get_robot("ur5e").starts["upright"]
     asked = []
     original = proving._free_radius
-    monkeypatch.setattr(proving, "_free_radius", lambda q: (asked.append(1), original(q))[1])
+    monkeypatch.setattr(proving, "_free_radius", lambda q, gap: (asked.append(1), original(q, gap))[1])
     assert proving.motion_is_free(start, start + 0.2, PROOF)
     assert proving.checks > 50
     assert 0 < len(asked) < proving.checks / 3
 
 
-def test_a_radius_is_a_distance_that_can_be_moved(scene: Scene) -> None:
+@pytest.mark.parametrize("compiled_kernels", [True, False])
+def test_a_radius_is_a_distance_that_can_be_moved(scene: Scene, compiled_kernels: bool) -> None:
     compiled = compile_scene(scene)
     model = planning_model(compiled, 0)
     proving, every = ProvingChecker(model), CollisionChecker(model)
@@ -60,7 +61,8 @@ def test_a_radius_is_a_distance_that_can_be_moved(scene: Scene) -> None:
     seen = []
     for _ in range(400):
         q = compiled.robot.start + rng.uniform(-1.5, 1.5, model.nq)
-        radius = proving._free_radius(q)
+        gaps = proving._gaps(q[None]) if compiled_kernels else None
+        radius = proving._free_radius(q, None if gaps is None else gaps[0])
         assert (radius is not None) == every.is_free(q)
         if radius:
             seen.append(radius)

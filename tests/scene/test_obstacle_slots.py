@@ -16,6 +16,7 @@ from greenhouse_gym.scene.plant_motion import move_plants
 from greenhouse_gym.scene.truth import true_scene
 
 NAMES = {"names", "names_map"}
+EDIT = partial(drive_and_record, substeps=5)
 
 
 def random_scene(seed: int, count: int) -> Scene:
@@ -50,10 +51,9 @@ def random_scene(seed: int, count: int) -> Scene:
 
 def differences(scene: Scene, capacity: int, robot: str = "ur5e") -> list[str]:
     """Names of the arrays that differ from those that MuJoCo compiles."""
-    edit = partial(drive_and_record, substeps=5)
-    filled = compile_scene(scene, robot, capacity, edit).model
+    filled = compile_scene(scene, robot, capacity, EDIT).model
     spec = scene_spec(scene, robot, capacity)
-    edit(spec)
+    EDIT(spec)
     compiled = spec.compile()
     arrays = {
         n for n in dir(compiled) if isinstance(getattr(compiled, n), np.ndarray) and not n.startswith(("name_", "_"))
@@ -73,6 +73,14 @@ def test_shipped_scenes_and_true_rows_are_filled_as_mujoco_compiles_them(robot: 
         assert differences(scene, 600, robot) == []
     true = true_scene(SceneBank.open("mini")[0])
     assert differences(true, true.count, robot) == []
+
+
+@pytest.mark.parametrize("robot", ["ur5e", "iiwa14"])
+def test_arms_at_other_places_are_those_that_mujoco_compiles(robot: str) -> None:
+    scene, low = random_scene(0, 3), get_robot(robot).shoulder_height
+    for height, yaw in ((low + 0.3, 0.4), (low, -0.2), (low + 0.55, 0.0), (low + 0.3, 0.4), (low, 1.0)):
+        placement = ArmPlacement(position=np.array([0.3 * yaw, -0.2, height / 9]), yaw=yaw, shoulder_height=height)
+        assert differences(scene.model_copy(update={"placement": placement}), 25, robot) == []
 
 
 def test_moved_plants_are_compiled_anew_and_leave_the_model_before() -> None:

@@ -1,4 +1,4 @@
-"""Read point cloud files: points in the unit and frame of the file, with colors and normals if it has them."""
+"""Read point cloud files: points in the unit and frame of the file, with its colors and normals, if any."""
 
 from __future__ import annotations
 

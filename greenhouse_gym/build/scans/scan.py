@@ -63,7 +63,7 @@ def open_scan(
     up: Direction | None = None,
     seen_from: Sequence[float] | None = None,
 ) -> Scan:
-    """Read a cloud and guess what its file does not state and the caller does not give.
+    """Read a cloud and guess the properties that neither its file nor the caller gives.
 
     Args:
         source: A file of one of `greenhouse_gym.build.scans.CLOUD_SUFFIXES`, or its content.
@@ -135,7 +135,7 @@ def extract_from_scan(scan: Scan, settings: ShapeSettings | None = None) -> tupl
 
 
 def fruit_hangs(cloud: Cloud, shapes: RowShapes) -> float:
-    """Return by how many standard errors the less red points around fruits lie above them; 0 with few fruits."""
+    """Return the mean height of less red points above fruits, in standard errors; 0 with too few fruits."""
     less_red = redness(cloud.colors) < _GREEN
     near = cKDTree(cloud.points[less_red])
     above = []

@@ -46,7 +46,7 @@ _STATIC, _MOVING = "/tf_static", "/tf"
 
 
 def recognizes(path: Path) -> bool:
-    """Return whether it is such a file, or a folder with one and its ``metadata.yaml``."""
+    """Return whether the path is a bag's file, or a folder with one and its ``metadata.yaml``."""
     if path.is_file():
         return path.name.lower().endswith(_SUFFIXES)
     files = path.iterdir() if (path / "metadata.yaml").is_file() else ()

@@ -39,7 +39,7 @@ def recognizes(path: Path) -> bool:
 
 
 def open(path: Path) -> Recording:
-    """Open such a folder.
+    """Open a scene of BOP.
 
     Raises:
         FileFormatError: A file is missing or damaged, or images differ in their camera. Images are checked when their

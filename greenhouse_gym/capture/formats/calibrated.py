@@ -30,7 +30,7 @@ def recognizes(path: Path) -> bool:
 
 
 def open(path: Path) -> Recording:
-    """Open such a folder.
+    """Open the folders of a calibrated camera.
 
     Raises:
         FileFormatError: A file is missing or damaged. Images are checked when their station is read.

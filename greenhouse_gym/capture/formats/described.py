@@ -95,7 +95,7 @@ def recognizes(path: Path) -> bool:
 
 
 def open(path: Path) -> Recording:
-    """Open such a folder.
+    """Open a folder with a description.
 
     Raises:
         FileFormatError: The description is damaged or does not fit the files. Images are checked when their station is

@@ -39,7 +39,7 @@ def recognizes(path: Path) -> bool:
 
 
 def open(path: Path) -> Recording:
-    """Open such a folder.
+    """Open an RGB-D folder of Open3D.
 
     Raises:
         FileFormatError: A file is missing or damaged. Images are checked when their station is read.

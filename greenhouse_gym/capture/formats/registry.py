@@ -39,7 +39,7 @@ class RecordingFormat(Protocol):
         """Contents of a recording of this kind, in a few words."""
 
     def recognizes(self, path: Path) -> bool:
-        """Return whether this looks like such a recording, without reading images or raising errors."""
+        """Return whether a path looks like a recording of this kind, without reading images or raising errors."""
 
     def open(self, path: Path) -> Recording:
         """Open the recording; its ``load`` reads a station when it is accessed."""

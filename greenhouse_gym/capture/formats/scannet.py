@@ -29,7 +29,7 @@ def recognizes(path: Path) -> bool:
 
 
 def open(path: Path) -> Recording:
-    """Open such a folder; depth is aligned to color where the two cameras differ.
+    """Open an exported folder of ScanNet; depth is aligned to color where the two cameras differ.
 
     Raises:
         FileFormatError: A file is missing or damaged. Images are checked when their station is read.

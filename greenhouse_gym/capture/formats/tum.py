@@ -35,7 +35,7 @@ def recognizes(path: Path) -> bool:
 
 
 def open(path: Path) -> Recording:
-    """Open such a folder: each color image with the depth image and the pose nearest in time.
+    """Open a folder of TUM or ETH3D: each color image with the depth image and the pose nearest in time.
 
     Raises:
         FileFormatError: A file is missing or damaged. Images are checked when their station is read.

@@ -160,7 +160,7 @@ class TomatoHarvest(Task):
             object.__setattr__(self, "layout", SIZES[self.size])
 
     def holds(self, controls: Array) -> Bools:
-        """Return (n,) where the vacuum is on."""
+        """Return a mask (n,) of the simulations whose vacuum is on."""
         return np.asarray(controls[:, 0] > 0)
 
     def sample(self, sampler: EpisodeSampler, rng: np.random.Generator, options: Mapping[str, Any] | None) -> Episode:
@@ -179,7 +179,7 @@ class TomatoHarvest(Task):
         raise InvalidValueError(f"no episode of size {self.size!r} in {_DRAWS} draws; the last: {problem}")
 
     def _fruit(self, episode: Episode, sampler: EpisodeSampler) -> tuple[tuple[int, ...], str]:
-        """Return the fruit of an episode among those of the scene's truth, or why there are none."""
+        """Return the fruit of an episode among those of the scene's truth, or the reason why it has no fruit."""
         scene = episode.scene
         ripe = ripe_targets(scene, self.ripe)
         anchor = ripe.get(episode.targets[0])

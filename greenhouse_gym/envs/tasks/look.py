@@ -144,7 +144,7 @@ class TomatoLook(Task):
         )
 
     def _is_ripe(self, shapes: Shapes) -> Bools:
-        """Return (t,) which tomatoes are ripe."""
+        """Return a mask (t,) of the ripe tomatoes."""
         return np.array([each.ripeness is None or each.ripeness >= self.ripe for each in shapes.tomatoes], dtype=bool)
 
     def begin(self, world: World) -> Mapping[str, npt.ArrayLike]:
@@ -153,11 +153,11 @@ class TomatoLook(Task):
         return {"ripe": ripe.sum(), "_ripe": np.pad(ripe, (0, MAX_TOMATOES - len(ripe)))}
 
     def looks(self, controls: Array) -> Bools:
-        """Return (n,) where the entry ``look`` is above 0."""
+        """Return a mask (n,) of the simulations whose entry ``look`` is above 0."""
         return np.asarray(controls[:, 0] > 0)
 
     def see(self, view: View, memory: Mapping[str, Any]) -> Mapping[str, npt.ArrayLike]:
-        """Return what a view finds, and the map carved by it."""
+        """Return the fruit found by a view, and the map carved by it."""
         ripe, found = np.flatnonzero(memory["_ripe"]), memory["_found"].copy()
         found[ripe] |= view.visible_fractions(ripe, (MIN_DEPTH, self.max_range)) >= self.min_visible
         fraction, views = found.sum() / len(ripe), memory["views"] + 1

@@ -128,7 +128,7 @@ def matrix(quaternion: Array) -> Array:
 
 
 def colliding_parts(model: mujoco.MjModel) -> npt.NDArray[np.int64]:
-    """Return (g,) the geoms of an arm that collide, from base to tip."""
+    """Return the ids (g,) of the geoms of an arm that collide, from base to tip."""
     masks = model.geom_contype | model.geom_conaffinity
     geoms = np.flatnonzero((model.geom_bodyid > 0) & (masks > 0))
     chain = _Chain(model)
@@ -272,7 +272,7 @@ def _collide(model: mujoco.MjModel, geom: int, mask: int) -> bool:
 
 
 def _pairs(model: mujoco.MjModel, parts: npt.NDArray[np.int64]) -> Ints:
-    """Return (p, 2) indices of the parts that MuJoCo tests against each other."""
+    """Return the indices (p, 2) of the parts that MuJoCo tests against each other."""
     excluded = {(int(pair) >> 16, int(pair) & 0xFFFF) for pair in model.exclude_signature}
     weld, parent = model.body_weldid, model.body_parentid
     result = []

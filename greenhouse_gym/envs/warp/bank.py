@@ -85,7 +85,7 @@ class SceneArrays:
 
 
 class Bank(NamedTuple):
-    """Scenes as arrays.
+    """Arrays of a bank's scenes.
 
     Attributes:
         scenes: Placements and tomatoes.

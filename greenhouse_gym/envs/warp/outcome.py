@@ -1,4 +1,4 @@
-"""Kernel that computes what a step returns: observation, reward, ends of episodes and infos."""
+"""Kernel that computes the result of a step: observation, reward, ends of episodes and infos."""
 
 from functools import lru_cache
 from typing import Any

@@ -64,7 +64,7 @@ def open_device(name: str) -> Any:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Let Warp print errors alone."""
+    """Silence Warp except for its errors."""
     level, wp.config.log_level = wp.config.log_level, wp.LOG_ERROR
     try:
         yield

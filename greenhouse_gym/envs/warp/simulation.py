@@ -1,4 +1,4 @@
-"""n simulations on a device: the bank, the state and the outputs as device arrays, and the launches of a step."""
+"""Simulations on a device: bank, state and outputs as device arrays, and the launches of a step."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _LANES = {True: (32, 2), False: (1, 1)}  # threads of a simulation and of a part
 
 
 class WarpSimulation:
-    """n simulations of the task "reach" on a device.
+    """Batch of n simulations of the task "reach" on a device.
 
     Args:
         count: Number of simulations n.
@@ -103,7 +103,7 @@ class WarpSimulation:
         self.set_draws()
 
     def set_draws(self) -> None:
-        """Take over the difficulties of the sampler, from the next episodes on."""
+        """Adopt the difficulties of the sampler from the next episodes on."""
         scene, target, bank = self.settings.scene, self.settings.target, self.bank
         if scene is None:
             table = draw_table(bank.scenes, self.sampler, bank.arrays.tomato_first)

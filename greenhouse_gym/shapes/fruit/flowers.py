@@ -1,4 +1,4 @@
-"""Flowers: small groups of petals, known by a yellow that leaves do not have and fruit hardly ever."""
+"""Flowers: small groups of petals, recognized by a yellow that is absent from leaves and rare on fruit."""
 
 from __future__ import annotations
 

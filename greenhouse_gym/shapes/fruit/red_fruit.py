@@ -61,7 +61,7 @@ class RedFruit(NamedTuple):
 
 
 class _Balls(NamedTuple):
-    """Balls (k,) and what the cloud shows of them.
+    """Balls (k,) and the evidence for each in the cloud.
 
     Attributes:
         centers: (k, 3) metres.

@@ -145,7 +145,7 @@ def _bridges(nodes: Array, part: Rows) -> Rows:
 
 
 def _cut_weak_bridges(parent: dict[int, int], nodes: Array) -> None:
-    """Detach what lies beyond a wide gap, unless several fruits hang on the bridge."""
+    """Detach the part beyond a wide gap, unless several fruits hang on the bridge."""
     root = len(nodes)
     ahead = dict.fromkeys(parent, 0)
     for here in [k for k in parent if k > root]:

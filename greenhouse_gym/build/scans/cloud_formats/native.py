@@ -19,7 +19,7 @@ _MEMORY, _MEMORY_PER_BYTE = 2**29, 64  # bytes that it may allocate
 
 @contextmanager
 def native_output(path: Path, function: str, arguments: Sequence[int], package: str) -> Iterator[IO[bytes]]:
-    """Provide what a function of `native_script` writes about a file.
+    """Provide the output of a function of `native_script` for a file.
 
     Args:
         path: The file.

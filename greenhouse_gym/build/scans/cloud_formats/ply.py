@@ -153,7 +153,7 @@ def _records(path: Path, file: IO[bytes], points: _Element, order: str) -> npt.N
 
 
 def _read_rows(path: Path, content: bytes, element: _Element, order: str) -> tuple[list[int], int]:
-    """Return where each record of an element with lists starts, and where the last one ends."""
+    """Return the first byte of each record of an element with lists, and the end of the last one."""
     steps: list[tuple[struct.Struct, int]] = []  # each ends with the length of a list, whose items have a size
     layout = ""
     for each in element.properties:
