@@ -22,7 +22,7 @@ with needs("reconstruct"):
 
 MAX_BYTES = 192 * 10**6  # of a decoded image: 64 million pixels of color, as many as the largest cameras have
 PNG_START, _JPEG_START = b"\x89PNG\r\n\x1a\n", b"\xff\xd8"
-_MAX_SCANS = 100  # of a progressive JPEG, each of which takes the time of a whole image
+_MAX_SCANS = 100  # of a progressive JPEG; each takes as long as decoding a whole image
 _PNG_CHANNELS = {0: 1, 2: 3, 3: 4, 4: 4, 6: 4}  # of the decoded image, by its kind of color
 _WIDTH, _HEIGHT, _BITS, _ORIENTATION, _SAMPLES, _TILE_WIDTH, _TILE_HEIGHT = 256, 257, 258, 274, 277, 322, 323  # in TIFF
 
