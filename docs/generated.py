@@ -18,7 +18,7 @@ from typer.main import get_command
 
 from greenhouse_gym.agents.policy import Description
 from greenhouse_gym.capture import recording_formats
-from greenhouse_gym.capture.recordings import RecordingIndex
+from greenhouse_gym.capture.formats.own import RecordingIndex
 from greenhouse_gym.cli import app
 from greenhouse_gym.envs.choices import OBSERVATIONS
 from greenhouse_gym.envs.tasks import TomatoReach

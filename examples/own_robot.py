@@ -8,7 +8,7 @@ import tempfile
 from pathlib import Path
 
 from greenhouse_gym.learning import PpoSettings, train_ppo
-from greenhouse_gym.planning.certify import rate_bank
+from greenhouse_gym.planning.rated_banks import rate_bank
 from greenhouse_gym.robots import mount_tool
 
 if __name__ == "__main__":

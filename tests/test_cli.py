@@ -19,8 +19,8 @@ from typer.testing import CliRunner
 from greenhouse_gym import __version__
 from greenhouse_gym.agents import Agent
 from greenhouse_gym.capture import open_recording, simulate_recording, write_recording
+from greenhouse_gym.capture.formats.own import INDEX
 from greenhouse_gym.capture.image_files import read_color
-from greenhouse_gym.capture.recordings import INDEX
 from greenhouse_gym.cli import app
 from greenhouse_gym.crops import grow_row
 from greenhouse_gym.errors import FileFormatError, FileWriteError, GreenhouseError, UnknownNameError

@@ -15,7 +15,7 @@ import pytest
 from typer.main import get_command
 
 from greenhouse_gym.capture import open_recording
-from greenhouse_gym.capture.recordings import RecordingIndex
+from greenhouse_gym.capture.formats.own import RecordingIndex
 from greenhouse_gym.capture.rig_file import load_mounting
 from greenhouse_gym.cli import app
 from greenhouse_gym.errors import FileFormatError

@@ -14,7 +14,7 @@ from conftest import make_scene
 from mutants import damaged_arrays, damaged_bytes, damaged_json
 
 from greenhouse_gym.capture import Camera, Intrinsics, Recording, RgbdFrame, Rig, Station, open_recording
-from greenhouse_gym.capture.recordings import INDEX, write_recording
+from greenhouse_gym.capture.formats.own import INDEX, write_recording
 from greenhouse_gym.capture.truth_file import load_truth, save_truth
 from greenhouse_gym.crops import PlantRow
 from greenhouse_gym.errors import GreenhouseError

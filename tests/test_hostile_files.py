@@ -16,8 +16,8 @@ from conftest import make_scene
 
 from greenhouse_gym.capture import Camera, Intrinsics, Recording, RgbdFrame, Rig, Station, open_recording
 from greenhouse_gym.capture.formats.bag_readers import open_bag
+from greenhouse_gym.capture.formats.own import INDEX, write_recording
 from greenhouse_gym.capture.image_files import read_color, read_depth, read_image
-from greenhouse_gym.capture.recordings import INDEX, write_recording
 from greenhouse_gym.common import files as paths
 from greenhouse_gym.common.files import checked_name, read_bytes
 from greenhouse_gym.errors import FileFormatError, InvalidValueError

@@ -2,7 +2,7 @@
 
 python -m training.shape_networks large --workdir rows
 
-``seeds`` prints the logistic weights that select confident fruit of the first pass, for ``fruit/classifiers.py``;
+``seeds`` prints the logistic weights that select confident fruit of the first pass, for ``fruit/large_fruit.py``;
 ``large`` fits the networks that score spheres of the first and second pass, ``small`` the one for small spheres,
 ``peduncles`` the two for points on peduncles and pedicels. Rows are development rows of both sources and rows of random
 cultivars; none is held out. Development rows are also seen in perfect images, since other cameras have less noise. By
@@ -27,9 +27,15 @@ from greenhouse_gym.crops.parts import Stem, Tomato
 from greenhouse_gym.geometry import Array, Capsule, distance_to_shapes
 from greenhouse_gym.shapes import ShapeSettings, extract_shapes
 from greenhouse_gym.shapes.fruit import shell_features
-from greenhouse_gym.shapes.fruit.classifiers import SphereClassifiers, logistic
 from greenhouse_gym.shapes.fruit.context_features import CONTEXT_FEATURES
-from greenhouse_gym.shapes.fruit.large_fruit import Candidates, ScoredFruit, fit_candidates, large_fruit
+from greenhouse_gym.shapes.fruit.large_fruit import (
+    Candidates,
+    ScoredFruit,
+    SphereClassifiers,
+    fit_candidates,
+    large_fruit,
+    logistic,
+)
 from greenhouse_gym.shapes.fruit.small_fruit import SmallSpheres, confident_small, select_small, small_spheres
 from greenhouse_gym.shapes.fruit.sphere_features import SPHERE_FEATURES
 from greenhouse_gym.shapes.networks import Network

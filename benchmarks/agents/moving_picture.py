@@ -92,7 +92,7 @@ def vector() -> Iterator[Any]:
     ended = np.zeros(count, dtype=bool)
     yield mosaic(tiles)
     for step in range(1, 121):
-        observations, _, terminated, truncated, infos = env.step(agent.act_many(observations))
+        observations, _, terminated, truncated, infos = env.step(agent.act(observations))
         images = env.render() if step % EVERY_OF_TILES == 0 or (terminated | truncated).any() else None
         for k in np.flatnonzero(~ended):
             if images is not None:

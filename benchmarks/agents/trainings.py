@@ -20,8 +20,6 @@ from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import matplotlib.pyplot as plt
-
 from benchmarks.agents.policies import rates
 from benchmarks.common import RESULTS, parser, read_entry, write_entry
 from greenhouse_gym.agents import PolicyAgent, ShieldedAgent
@@ -70,7 +68,7 @@ METHODS = {
 
 
 def main() -> None:
-    """Train, play, and write the figures and the picture."""
+    """Train, play, and write the figures."""
     command = parser(__doc__)
     command.add_argument("method", choices=list(METHODS))
     command.add_argument("--seeds", type=int, nargs="+", default=[0])
@@ -107,8 +105,6 @@ def main() -> None:
     write_entry(a.out, name, figures)
     for kind in ("policies", "agents"):
         print(kind, figures[kind])
-    if a.method == "ppo":
-        draw(figures["policies"], a.out.with_name(f"{a.out.stem}_{name}.png"))
 
 
 def trained(method: Method, settings: Any, seed: int, folder: Path) -> dict[str, Any]:
@@ -121,24 +117,6 @@ def trained(method: Method, settings: Any, seed: int, folder: Path) -> dict[str,
         "curve": read_curve(folder / CURVE)[EVERY - 1 :: EVERY],
         "validation": read_curve(folder / VALIDATION),
     }
-
-
-def draw(policies: dict[str, Any], path: Path) -> None:
-    """Draw the success of each training, with its noise, and of its policy without noise on validation rows."""
-    figure, axes = plt.subplots(figsize=(7, 3.6), layout="constrained")
-    for k, (seed, entry) in enumerate(sorted(policies.items())):
-        for name, style in (("curve", "-"), ("validation", "o--")):
-            line = entry[name]
-            label = f"{seed}, {'training rows' if name == 'curve' else 'validation rows, without noise'}"
-            axes.plot(
-                [point["steps"] / 1e6 for point in line], [point["success_rate"] for point in line], style,
-                color=f"C{k}", label=label, linewidth=1.2, markersize=4,
-            )  # fmt: skip
-    axes.set(xlabel="million steps", ylabel="fraction of tomatoes reached", ylim=(0, 1))
-    axes.grid(alpha=0.3)
-    axes.legend(fontsize=7)
-    figure.savefig(path, dpi=120)
-    plt.close(figure)
 
 
 if __name__ == "__main__":

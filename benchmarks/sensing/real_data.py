@@ -35,9 +35,9 @@ from benchmarks.sensing.real_clouds import (
     read_table,
 )
 from greenhouse_gym.accuracy import StemComparison, compare_stems, pool_stems
-from greenhouse_gym.accuracy.cover import COVERED_WITHIN, distance_to_nearest
+from greenhouse_gym.accuracy.cover import COVERED_WITHIN
 from greenhouse_gym.crops.parts import Stem
-from greenhouse_gym.geometry import Array, Capsule, frame_along
+from greenhouse_gym.geometry import Array, Capsule, distance_to_nearest, frame_along
 from greenhouse_gym.shapes import extract_shapes
 
 SEEDLING_HEIGHT = 0.4
@@ -65,7 +65,7 @@ def measure_table(scene: TableScene) -> tuple[dict[str, Figures], Figures]:
 def measure_can(points: Array, stems: Sequence[Stem]) -> Figures:
     """Compare a labeled can's points (n, 3) with the stem that explains most of them."""
     reference = fit_cylinder(points)
-    explained = [np.abs(distance_to_nearest(points, [stem])) < 0.01 for stem in stems]
+    explained = [np.abs(distance_to_nearest(points, [stem], 0.01)) < 0.01 for stem in stems]
     best = max(range(len(stems)), key=lambda i: int(explained[i].sum()), default=-1)
     own = residual(points, reference)
     figures: Figures = {"points": len(points), "reference_radius": reference.radius, "reference_residual": own}
@@ -141,8 +141,8 @@ def measure_seedling(plant: Seedling) -> tuple[StemComparison, Figures]:
         figures |= {"false": compared.false_fraction}
     else:
         stem = plant.points[plant.labels == MAIN]
-        near = np.abs(distance_to_nearest(stem, found))
-        stalk = distance_to_nearest(plant.points[plant.labels == STALK], found)
+        near = np.abs(distance_to_nearest(stem, found, COVERED_WITHIN))
+        stalk = distance_to_nearest(plant.points[plant.labels == STALK], found, COVERED_WITHIN)
         figures |= {"radius_residual": float(np.median(near[near <= COVERED_WITHIN]))}
         figures |= {"stalk_points_covered": float((stalk <= COVERED_WITHIN).mean())}
         figures |= {"false": false_length(found, plant.points[np.isin(plant.labels, (JUNCTION, MAIN, STALK))])}

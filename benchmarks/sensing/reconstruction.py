@@ -39,7 +39,7 @@ from benchmarks.sensing.registration_baselines import multiway, paper_chain
 from greenhouse_gym import accuracy, capture, crops, geometry, reconstruction
 from greenhouse_gym.accuracy import ReconstructedRow
 from greenhouse_gym.capture import Recording, Rig, open_recording, simulate_recording
-from greenhouse_gym.capture.recordings import INDEX, write_recording
+from greenhouse_gym.capture.formats.own import INDEX, write_recording
 from greenhouse_gym.common.open3d_loader import open3d
 from greenhouse_gym.crops import PlantRow, grow_row
 from greenhouse_gym.geometry import Array, invert

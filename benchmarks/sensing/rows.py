@@ -27,7 +27,7 @@ from greenhouse_gym.capture import (
     simulate_recording,
     write_recording,
 )
-from greenhouse_gym.capture.recordings import INDEX
+from greenhouse_gym.capture.formats.own import INDEX
 from greenhouse_gym.capture.simulated import CaptureSettings, tripod_poses
 from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.crops import DEVELOPMENT_CULTIVARS, HELD_OUT_CULTIVARS, STYLES, PlantRow, grow_row

@@ -18,7 +18,7 @@ from benchmarks.sensing.rows import Row, cloud_of, recording_of
 from greenhouse_gym.capture.image_files import encode_png
 from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.geometry import invert, transform
-from greenhouse_gym.reporting.overlay import draw_outlines
+from greenhouse_gym.reporting.pictures import draw_outlines
 from greenhouse_gym.shapes import extract_shapes
 
 

@@ -70,15 +70,25 @@ def first_reset(count: int) -> dict[str, Any]:
     return {"processor s": seconds, "wall s": wall, "peak memory of the process GB": gigabytes}
 
 
+def first_plan() -> dict[str, Any]:
+    """Measure the first plan of a process."""
+    bank = SceneBank.open("default")
+    scene = bank.scene(bank.names("validation")[0])
+    return {"processor s": seconds_of(lambda: plan(scene, 0, max_checks=CHECKS, time_limit=None), time.process_time)}
+
+
 def compiled() -> dict[str, Any]:
-    """Measure the first reset and step with an empty cache."""
-    with tempfile.TemporaryDirectory() as folder:
-        os.environ["NUMBA_CACHE_DIR"] = folder
-        try:
-            empty, full = (in_own_process(first_reset, 1)["processor s"] for _ in range(2))
-        finally:
-            del os.environ["NUMBA_CACHE_DIR"]
-    return {"first reset with an empty cache, processor s": empty, "with a full one": full}
+    """Measure the first reset and step, and the first plan, each with an empty cache and with a full one."""
+    found: dict[str, Any] = {}
+    for name, measure in (("reset", partial(first_reset, 1)), ("plan", first_plan)):
+        with tempfile.TemporaryDirectory() as folder:
+            os.environ["NUMBA_CACHE_DIR"] = folder
+            try:
+                empty, full = (in_own_process(measure)["processor s"] for _ in range(2))
+            finally:
+                del os.environ["NUMBA_CACHE_DIR"]
+        found |= {f"first {name} with an empty cache, processor s": empty, f"first {name} with a full one": full}
+    return found
 
 
 def true_rows(count: int) -> dict[str, Any]:

@@ -87,7 +87,7 @@ def built(row: shipped.RowRecording) -> dict[str, Any]:
     """Build the scenes of a recording of the shipped bank."""
     with tempfile.TemporaryDirectory() as folder:
         before = processor_seconds()
-        bank = build_bank([row.recording()], folder, row.name, settings=shipped.SETTINGS)
+        bank = build_bank([row.simulate()], folder, row.name, settings=shipped.SETTINGS)
         seconds = (processor_seconds() - before) / len(bank)
         targets = [len(scene.targets) for scene in bank]
     return {"scenes": len(targets), "targets": targets, "seconds per scene": round(seconds, 1)}

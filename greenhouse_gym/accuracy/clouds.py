@@ -5,7 +5,7 @@ The true surfaces are the triangles that the simulated cameras see; they lie wit
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol, TypeVar
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -14,9 +14,11 @@ from scipy.spatial.transform import Rotation
 from greenhouse_gym.capture.raycast import RowRaycaster
 from greenhouse_gym.common.open3d_loader import open3d
 from greenhouse_gym.crops import PlantRow
-from greenhouse_gym.geometry import Array, Shape, invert, pose, transform
+from greenhouse_gym.geometry import Array, invert, pose, transform
 
-AnyShape = TypeVar("AnyShape", bound=Shape)
+_WINDOW = 1.0  # m, longest window of the row that is aligned by itself
+_WINDOW_SAMPLES, _ROW_SAMPLES = 3000, 6000  # approximate numbers of points that are aligned
+_ITERATIONS = 30
 
 
 class ReconstructedRow(Protocol):
@@ -60,16 +62,15 @@ def drift(row: ReconstructedRow, world_from_station: Array) -> Drift:
     return Drift(float(error), float(length))
 
 
-def distance_to_truth(row: ReconstructedRow, truth: PlantRow, world_from_first: Array, samples: int = 20_000) -> Array:
+def distance_to_truth(row: ReconstructedRow, truth: PlantRow, world_from_first: Array) -> Array:
     """Return unsigned distances (n,) metres from an even sample of a row's points to the nearest true surface.
 
     Args:
         row: The reconstructed row.
         truth: The grown row.
         world_from_first: (4, 4) true pose of the first registered station.
-        samples: Approximate number of points in the sample.
     """
-    return distance_to_surface(transform(world_from_first, row.points), truth, samples)
+    return distance_to_surface(transform(world_from_first, row.points), truth)
 
 
 def distance_to_surface(points: Array, truth: PlantRow, samples: int = 20_000) -> Array:
@@ -88,10 +89,8 @@ def place(row: ReconstructedRow, world_from_station: Array) -> Array:
     return transform(world_from_station[np.flatnonzero(row.registered)[0]], row.points)
 
 
-def place_by_windows(
-    row: ReconstructedRow, truth: PlantRow, world_from_station: Array, window: float = 1.0, samples: int = 3000
-) -> Array:
-    """Return a row's points in the world after one rigid alignment to the true surfaces per window along the row.
+def place_by_windows(row: ReconstructedRow, truth: PlantRow, world_from_station: Array) -> Array:
+    """Return a row's points in the world after one rigid alignment to the true surfaces per metre of the row.
 
     This removes the drift and leaves the accuracy within a metre. An alignment starts from the true pose of a
     registered station near the window's center and minimizes the distance to the closest true points.
@@ -100,8 +99,6 @@ def place_by_windows(
         row: The reconstructed row.
         truth: The grown row.
         world_from_station: (stations, 4, 4) true poses.
-        window: Longest window, metres; the row's extent is split evenly.
-        samples: Approximate number of points of each window to align.
 
     Returns:
         (n, 3) metres, in the order of the row's points.
@@ -111,27 +108,27 @@ def place_by_windows(
     world_from_row = world_from_station[good] @ invert(row.world_from_station[good])
     along = place(row, world_from_station)[:, 1]
     station_along = transform(world_from_row[0], row.world_from_station[good, :3, 3])[:, 1]
-    count = max(1, int(np.ceil(np.ptp(along) / window)))
+    count = max(1, int(np.ceil(np.ptp(along) / _WINDOW)))
     edges = np.linspace(along.min(), along.max(), count + 1)
     member = np.digitize(along, edges[1:-1])
     placed = np.empty_like(row.points)
     for k in np.unique(member):
         own = row.points[member == k]
-        thinned = own[:: max(1, len(own) // samples)]
+        thinned = own[:: max(1, len(own) // _WINDOW_SAMPLES)]
         nearest = np.argsort(np.abs(station_along - edges[k : k + 2].mean()), kind="stable")[:3]
         start = min((world_from_row[i] for i in nearest), key=lambda start: _median_distance(caster, start, thinned))
         placed[member == k] = transform(_align(caster, start, thinned), own)
     return placed
 
 
-def align(row: ReconstructedRow, truth: PlantRow, world_from_station: Array, samples: int = 6000) -> Array:
+def align(row: ReconstructedRow, truth: PlantRow, world_from_station: Array) -> Array:
     """Return the (4, 4) pose of a row's frame in the world that brings its points closest to the true surfaces.
 
     One rigid motion for the whole row, starting from the true pose of its first registered station (of
     (stations, 4, 4)): it spreads the drift evenly, whereas `place` lets it grow.
     """
     start = world_from_station[np.flatnonzero(row.registered)[0]]
-    return _align(RowRaycaster.of(truth), start, row.points[:: max(1, len(row.points) // samples)])
+    return _align(RowRaycaster.of(truth), start, row.points[:: max(1, len(row.points) // _ROW_SAMPLES)])
 
 
 def _closest(caster: RowRaycaster, points: Array) -> Array:
@@ -145,10 +142,10 @@ def _median_distance(caster: RowRaycaster, world_from_row: Array, points: Array)
     return float(np.median(np.linalg.norm(moved - _closest(caster, moved), axis=1)))
 
 
-def _align(caster: RowRaycaster, start: Array, points: Array, iterations: int = 30) -> Array:
+def _align(caster: RowRaycaster, start: Array, points: Array) -> Array:
     """Return the (4, 4) pose near ``start`` that brings points (n, 3) closest to the truth, by robust Gauss-Newton."""
     world_from_points = start
-    for _ in range(iterations):
+    for _ in range(_ITERATIONS):
         moved = transform(world_from_points, points)
         away = moved - _closest(caster, moved)
         distance = np.linalg.norm(away, axis=1)

@@ -8,7 +8,7 @@ import numpy as np
 
 from greenhouse_gym.accuracy.clouds import distance_to_surface
 from greenhouse_gym.crops import PlantRow
-from greenhouse_gym.geometry import Array, Box, Capsule, Ellipsoid, Shape, Sphere, distance_to_shapes, frame_along
+from greenhouse_gym.geometry import Array, Box, Capsule, Ellipsoid, Shape, Sphere, distance_to_nearest, frame_along
 
 COVERED_WITHIN = 0.008
 """Largest distance from a shape at which a point counts as covered, metres."""
@@ -16,14 +16,16 @@ COVERED_WITHIN = 0.008
 EXCESS_BEYOND = 0.015
 """Distance from every true surface beyond which a shape's surface counts as excess, metres."""
 
+_SAMPLES = 20_000  # points of a cloud, or on all surfaces
 
-def coverage(points: Array, shapes: Sequence[Shape], samples: int = 20_000) -> float:
+
+def coverage(points: Array, shapes: Sequence[Shape]) -> float:
     """Return the fraction of points (n, 3), evenly sampled, that lie inside or within `COVERED_WITHIN` of a shape."""
-    thinned = points[:: max(1, len(points) // samples)]
-    return float((distance_to_nearest(thinned, shapes) <= COVERED_WITHIN).mean())
+    thinned = points[:: max(1, len(points) // _SAMPLES)]
+    return float((distance_to_nearest(thinned, shapes, COVERED_WITHIN) <= COVERED_WITHIN).mean())
 
 
-def excess(shapes: Sequence[Shape], truth: PlantRow, samples: int = 20_000, seed: int = 0) -> float:
+def excess(shapes: Sequence[Shape], truth: PlantRow) -> float:
     """Return the fraction of the shapes' outer surface farther than `EXCESS_BEYOND` from every true surface.
 
     Surface inside another shape or inside a true solid does not count.
@@ -31,10 +33,8 @@ def excess(shapes: Sequence[Shape], truth: PlantRow, samples: int = 20_000, seed
     Args:
         shapes: The shapes, in the world.
         truth: The grown row.
-        samples: Number of points on all surfaces, spread evenly by area.
-        seed: Seed of the sample.
     """
-    points = outer_samples(shapes, samples, np.random.default_rng(seed))
+    points = outer_samples(shapes, _SAMPLES, np.random.default_rng(0))
     if not len(points):
         return 0.0
     far = points[distance_to_surface(points, truth, len(points)) > EXCESS_BEYOND]
@@ -43,17 +43,7 @@ def excess(shapes: Sequence[Shape], truth: PlantRow, samples: int = 20_000, seed
     while row is not None:
         solids += row.shapes
         row = row.behind
-    return float(np.count_nonzero(distance_to_nearest(far, solids) > 0) / len(points))
-
-
-def distance_to_nearest(points: Array, shapes: Sequence[Shape], chunk: int = 1000) -> Array:
-    """Return signed distances (n,) from points (n, 3) to the nearest shape, negative inside; inf without shapes."""
-    result = np.full(len(points), np.inf)
-    if shapes:
-        for first in range(0, len(points), chunk):
-            rows = slice(first, first + chunk)
-            result[rows] = distance_to_shapes(points[rows], shapes).min(axis=1)
-    return result
+    return float(np.count_nonzero(distance_to_nearest(far, solids, 0.0) > 0) / len(points))
 
 
 def outer_samples(shapes: Sequence[Shape], count: int, rng: np.random.Generator) -> Array:
@@ -66,7 +56,7 @@ def outer_samples(shapes: Sequence[Shape], count: int, rng: np.random.Generator)
     for index, shape in enumerate(shapes):
         points = _on_surface(shape, int(counts[index]), rng)
         others = [*shapes[:index], *shapes[index + 1 :]]
-        outer.append(points[distance_to_nearest(points, others) >= 0])
+        outer.append(points[distance_to_nearest(points, others, 0.0) >= 0])
     return np.concatenate(outer)
 
 

@@ -19,6 +19,7 @@ AXIS_DISTANCE = 0.010
 AXIS_ANGLE = float(np.deg2rad(30.0))
 """Largest angle between two such axes, radians."""
 
+_CHUNK = 2000  # samples handled at a time
 SPACING = 0.005
 """Largest length of axis that one sample represents, metres."""
 
@@ -138,15 +139,15 @@ def _samples(stems: Sequence[Capsule]) -> _Samples:
     )
 
 
-def _nearest(samples: _Samples, stems: Sequence[Capsule], chunk: int = 2000) -> tuple[Array, npt.NDArray[np.int64]]:
+def _nearest(samples: _Samples, stems: Sequence[Capsule]) -> tuple[Array, npt.NDArray[np.int64]]:
     """Return the distance (n,) of each sample to the nearest matching axis (inf without one), and its index."""
     distance, index = np.full(len(samples.points), np.inf), np.zeros(len(samples.points), dtype=np.int64)
     if not stems:
         return distance, index
     starts, ends = np.array([stem.start for stem in stems]), np.array([stem.end for stem in stems])
     along = (ends - starts) / np.maximum(np.linalg.norm(ends - starts, axis=1, keepdims=True), 1e-12)
-    for first in range(0, len(samples.points), chunk):
-        rows = slice(first, first + chunk)
+    for first in range(0, len(samples.points), _CHUNK):
+        rows = slice(first, first + _CHUNK)
         apart = samples.points[rows, None] - closest_on_segments(samples.points[rows], starts, ends)
         gap = np.linalg.norm(apart, axis=-1)
         turned = np.abs(samples.directions[rows] @ along.T) < np.cos(AXIS_ANGLE)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -15,10 +15,12 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PositiveInt, 
 
 from greenhouse_gym.agents.goal_features import flaw_of
 from greenhouse_gym.common.files import first_fault, parsing, read_bytes, write_atomically
-from greenhouse_gym.common.mlp import Mlp
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, MissingDependencyError
 
 Float32 = npt.NDArray[np.float32]
+
+_HIDDEN: Mapping[str, Callable[[Float32], Float32]] = {"tanh": np.tanh, "relu": lambda x: np.maximum(x, np.float32(0))}
+_OUTPUT: Mapping[str, Callable[[Float32], Float32]] = {"clip": lambda x: np.clip(x, -1.0, 1.0), "tanh": np.tanh}
 
 MAX_LAYERS, MAX_WIDTH = 16, 1 << 14
 """Largest number of layers, and of entries in each."""
@@ -67,18 +69,47 @@ class Description(_Part):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Policy(Mlp):
+class Policy:
     """A perceptron from observations to actions in [-1, 1], and the environment it was trained for.
 
     Attributes:
+        weights: Per layer (outputs, inputs).
+        biases: Per layer (outputs,).
+        activation: Of the hidden layers: "tanh" or "relu".
+        center: (size,) subtracted from observations.
+        scale: (size,) that centered observations are divided by.
+        output: Bound of the actions: "clip" or "tanh".
         env_options: Keywords of `gymnasium.make` for that environment.
         layout: Name and number of entries of each group of the observation.
         training: Algorithm, settings and progress of its training.
     """
 
+    weights: tuple[Float32, ...]
+    biases: tuple[Float32, ...]
+    activation: str
+    center: Float32
+    scale: Float32
+    output: str = "clip"
     env_options: Mapping[str, Any]
     layout: tuple[tuple[str, int], ...]
     training: Mapping[str, Any] = field(default_factory=dict)
+
+    def __call__(self, observations: npt.ArrayLike) -> Float32:
+        """Return actions (k,) or (n, k) for observations (size,) or (n, size).
+
+        The action for an observation has the same bits alone and in a batch.
+
+        Raises:
+            InvalidValueError: The observations have another size.
+        """
+        x = np.asarray(observations, dtype=np.float32)
+        if x.shape[-1:] != self.center.shape:
+            raise InvalidValueError(f"expected inputs of {len(self.center)} entries, got shape {x.shape}")
+        x = ((x - self.center) / self.scale)[..., None]
+        # products with one vector each: a product of matrices rounds differently for another number of rows
+        for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
+            x = _HIDDEN[self.activation](weight @ x + bias[:, None])
+        return _OUTPUT[self.output]((self.weights[-1] @ x)[..., 0] + self.biases[-1])
 
     def save(self, path: str | Path) -> Path:
         """Write ``path``.safetensors (weights) and then ``path``.json (everything else); return the latter.

@@ -180,14 +180,6 @@ def _in_frame(parts: ShapeParts, target_from_source: Array) -> ShapeParts:
     )
 
 
-def placement_poses(row: RowCloud, shapes: RowShapes, recording: Recording, settings: BuildSettings) -> Array:
-    """Return the frames (scenes, 4, 4) of the scenes of `cut_scenes` in the frame of the row."""
-    leveled = level(row)
-    heads = transform(leveled, row.world_from_station[row.registered][:, :3, 3])
-    origins = _placement_origins([in_frame(stem, leveled) for stem in shapes.stems], heads, recording, settings)
-    return np.array([invert(leveled) @ pose(translation=origin) for origin in origins])
-
-
 def _placement_origins(
     stems: Sequence[Stem], heads: Array, recording: Recording, settings: BuildSettings
 ) -> list[Array]:

@@ -72,12 +72,10 @@ def realsense_sdk() -> Any:
     return pyrealsense2
 
 
-def synchronized(
-    streams: Mapping[str, Iterator[tuple[float, RgbdFrame]]], within: float = _SAME_MOMENT
-) -> Iterator[dict[str, RgbdFrame]]:
+def synchronized(streams: Mapping[str, Iterator[tuple[float, RgbdFrame]]]) -> Iterator[dict[str, RgbdFrame]]:
     """Yield the images of all cameras at about the same time; images without partners are skipped.
 
-    ``streams`` are times in seconds and images of each camera; those of one moment differ by up to ``within`` seconds.
+    ``streams`` are times in seconds and images of each camera.
 
     Raises:
         CameraError: Hundreds of images in a row have no partner.
@@ -93,7 +91,7 @@ def synchronized(
         times = {name: time for name, (time, _) in newest.items()}
         oldest = min(times, key=times.__getitem__)
         apart = max(times.values()) - times[oldest]
-        if apart <= within:
+        if apart <= _SAME_MOMENT:
             yield {name: frame for name, (_, frame) in newest.items()}
             skipped, behind = 0, list(streams)
             continue

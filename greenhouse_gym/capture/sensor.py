@@ -143,11 +143,11 @@ def _hidden_from_right_imager(disparity: Array) -> npt.NDArray[np.bool_]:
     return (in_right < 0) | (from_the_right <= in_right - 0.5)
 
 
-def _near_edge(disparity: Array, jump: float = 1.0) -> npt.NDArray[np.bool_]:
-    """Mask pixels within 2 of a disparity step of more than ``jump`` px."""
+def _near_edge(disparity: Array) -> npt.NDArray[np.bool_]:
+    """Mask pixels within 2 of a disparity step of more than one pixel."""
     edge = np.zeros(disparity.shape, dtype=bool)
     for axis in (0, 1):
-        step = np.abs(np.diff(disparity, axis=axis)) > jump
+        step = np.abs(np.diff(disparity, axis=axis)) > 1.0
         before = [slice(None)] * 2
         after = [slice(None)] * 2
         before[axis], after[axis] = slice(None, -1), slice(1, None)

@@ -135,7 +135,7 @@ def train(out: Path, seed: int, settings: DemoSettings, report: DemoReport) -> l
 def compare_agents(out: Path, seed: int, settings: DemoSettings, report: DemoReport) -> tuple[Evaluation, ...]:
     """Run a planner, the policy and a random agent on the same easy episodes of the row, and film the policy."""
     from greenhouse_gym.agents import Agent, PlannerAgent, PolicyAgent, RandomAgent
-    from greenhouse_gym.cli.agent_commands import print_comparison
+    from greenhouse_gym.cli.comparison_commands import print_comparison
     from greenhouse_gym.evaluation import compare, comparison_table
     from greenhouse_gym.reporting.film import film
 

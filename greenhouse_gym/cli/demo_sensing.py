@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 def simulate(out: Path, seed: int, settings: DemoSettings, report: DemoReport) -> tuple[PlantRow, Recording]:
     """Grow a row and record it; return the row and the recording read from its files."""
     from greenhouse_gym.capture import open_recording, simulate_recording, write_recording
-    from greenhouse_gym.capture.recordings import INDEX
+    from greenhouse_gym.capture.formats.own import INDEX
     from greenhouse_gym.crops import grow_row
 
     with report.stage("simulate a row") as results:
@@ -92,8 +92,7 @@ def extract(out: Path, row: PlantRow, recording: Recording, cloud: RowCloud, rep
     from greenhouse_gym.accuracy import match_tomatoes, visible_tomatoes
     from greenhouse_gym.geometry import invert
     from greenhouse_gym.rendering.picture_files import write_picture
-    from greenhouse_gym.reporting.overlay import shapes_over_photograph
-    from greenhouse_gym.reporting.pictures import upright
+    from greenhouse_gym.reporting.pictures import shapes_over_photograph, upright
     from greenhouse_gym.shapes import extract_shapes
 
     with report.stage("extract shapes") as results:

@@ -40,11 +40,11 @@ def record(
     continuously: points beyond the plants are dark in it.
     """
     from greenhouse_gym.capture import open_recording
+    from greenhouse_gym.capture.formats.own import INDEX
     from greenhouse_gym.capture.inspection import inspect_recording
     from greenhouse_gym.capture.realsense import realsense_cameras
     from greenhouse_gym.capture.recorder import PREVIEW
     from greenhouse_gym.capture.recorder import record as write_stations
-    from greenhouse_gym.capture.recordings import INDEX
     from greenhouse_gym.capture.rig_file import load_mounting, mounted_rig
 
     keys = Keys(sys.stdin)

@@ -16,6 +16,7 @@ from greenhouse_gym.cli import (
     agent_commands,
     bank_commands,
     cloud_commands,
+    comparison_commands,
     live_recording,
     planning_commands,
     reconstruction_commands,
@@ -33,11 +34,11 @@ _COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
     "Learning": {
         "train": training_commands.train,
         "sweep": training_commands.sweep,
-        "compare": agent_commands.compare,
+        "compare": comparison_commands.compare,
         "watch": agent_commands.watch,
         "demonstrations": agent_commands.demonstrations,
-        "submit": agent_commands.submit,
-        "leaderboard": agent_commands.leaderboard,
+        "submit": comparison_commands.submit,
+        "leaderboard": comparison_commands.leaderboard,
     },
     "Planning": {
         "plan": planning_commands.plan,

@@ -1,4 +1,4 @@
-"""Commands on arms and scenes: plan, render, mount, rate."""
+"""Commands on arms and scenes: plan, render, mount, rate, brush."""
 
 from __future__ import annotations
 
@@ -40,9 +40,8 @@ def plan(
     """Plan a path to a tomato with one planner, or with all planners and the same goals, and print a table.
 
     The table holds the planning time, the collision checks, the length and clearance of the shortened path, and the
-    number of shapes of leaves that it brushes. BiTRRT,
-    CForest, pRRT and pSBL have no Python bindings in OMPL 1.7.0 and are called by the memory layout of that wheel; with
-    another build they may end as "crashed".
+    number of shapes of leaves that it brushes. BiTRRT, CForest, pRRT and pSBL have no Python bindings in OMPL 1.7.0
+    and are called by the memory layout of that wheel; with another build they may end as "crashed".
     """
     from greenhouse_gym.common.settings_files import assigned
     from greenhouse_gym.errors import InvalidValueError
@@ -149,7 +148,7 @@ def rate(
     per_scene: Annotated[int | None, typer.Option(min=1, help="Rate only this many targets, the nearest.")] = None,
 ) -> None:
     """Rate the targets of a bank for another arm and write a new bank; resumes an interrupted run."""
-    from greenhouse_gym.planning.certify import rate_bank
+    from greenhouse_gym.planning.rated_banks import rate_bank
     from greenhouse_gym.robots import get_robot
     from greenhouse_gym.scene import SceneBank
 

@@ -60,8 +60,8 @@ def import_(
     import.json (figures and verdict) and import.png (stations side by side).
     """
     from greenhouse_gym.capture import open_recording, write_recording
+    from greenhouse_gym.capture.formats.own import INDEX
     from greenhouse_gym.capture.inspection import inspect_recording
-    from greenhouse_gym.capture.recordings import INDEX
     from greenhouse_gym.capture.station_selection import choose_stations, select_stations
     from greenhouse_gym.common.files import write_atomically
     from greenhouse_gym.errors import FileFormatError

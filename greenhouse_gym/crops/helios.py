@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from greenhouse_gym.crops.helios_meshes import Mesh, Soup, cut_along_lobes, flower_of, fruit_of
+from greenhouse_gym.crops.organs import areas
 from greenhouse_gym.errors import GrowthError, MissingDependencyError
 from greenhouse_gym.geometry import Array
 
@@ -43,8 +44,7 @@ class Frond(NamedTuple):
     @property
     def area(self) -> float:
         """Area of one side of the blade, square metres."""
-        a, b, c = self.blade.vertices[self.blade.triangles].transpose(1, 0, 2)
-        return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
+        return float(areas(self.blade.vertices, self.blade.triangles).sum())
 
 
 @dataclass(frozen=True, eq=False)

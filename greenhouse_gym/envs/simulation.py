@@ -12,15 +12,8 @@ import numpy.typing as npt
 
 from greenhouse_gym.common.progress import progress
 from greenhouse_gym.envs.actions import CommandLimits, check_actions, squared_norm, with_controls
-from greenhouse_gym.envs.choices import (
-    is_of_user,
-    make_action,
-    make_observation,
-    make_reward,
-    make_task,
-    outcome_check,
-    remembered,
-)
+from greenhouse_gym.envs.checked_parts import is_of_user, outcome_check, remembered
+from greenhouse_gym.envs.choices import make_action, make_observation, make_reward, make_task
 from greenhouse_gym.envs.compliant_physics import CompliantPhysics, CompliantSimulation
 from greenhouse_gym.envs.contacts import NAME_SEPARATOR, NO_CONTACT, Contact, Contacts
 from greenhouse_gym.envs.episodes import Episode, EpisodeSampler

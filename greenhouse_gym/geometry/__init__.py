@@ -17,6 +17,7 @@ from greenhouse_gym.geometry.distances import (
 from greenhouse_gym.geometry.poses import (
     frame_along,
     invert,
+    is_pose,
     is_rotation,
     pose,
     quaternions_from,
@@ -60,6 +61,7 @@ __all__ = [
     "distance_to_spheres",
     "frame_along",
     "invert",
+    "is_pose",
     "is_rotation",
     "numbers_of",
     "pose",

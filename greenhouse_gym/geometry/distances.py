@@ -77,6 +77,7 @@ def distance_to_boxes(
     return np.asarray(outside + np.minimum(excess.max(-1), 0.0), dtype=np.float64)
 
 
+_CHUNK = 4096  # points handled at a time, which bounds the memory for intermediate results
 _DISTANCES: dict[type[Shape], tuple[Callable[..., Array], tuple[str, ...]]] = {
     Sphere: (distance_to_spheres, ("center", "radius")),
     Ellipsoid: (distance_to_ellipsoids, ("center", "semi_axes", "rotation")),
@@ -85,13 +86,12 @@ _DISTANCES: dict[type[Shape], tuple[Callable[..., Array], tuple[str, ...]]] = {
 }
 
 
-def distance_to_shapes(points: npt.ArrayLike, shapes: Sequence[Shape], chunk: int = 4096) -> Array:
+def distance_to_shapes(points: npt.ArrayLike, shapes: Sequence[Shape]) -> Array:
     """Return signed distances (n, k), negative inside, from points (n, 3) to a mixed list of k shapes.
 
     Args:
         points: (n, 3) metres.
         shapes: k shapes in the points' frame.
-        chunk: Number of points handled at a time, which bounds the memory for intermediate results.
     """
     p = np.asarray(points, dtype=np.float64).reshape(-1, 3)
     result = np.empty((len(p), len(shapes)))
@@ -101,8 +101,8 @@ def distance_to_shapes(points: npt.ArrayLike, shapes: Sequence[Shape], chunk: in
     for kind, (distance, fields) in _DISTANCES.items():
         columns = by_kind[kind]
         arguments = [np.array([getattr(shapes[k], field) for k in columns]) for field in fields]
-        for first in range(0, len(p) if columns else 0, chunk):
-            rows = slice(first, first + chunk)
+        for first in range(0, len(p) if columns else 0, _CHUNK):
+            rows = slice(first, first + _CHUNK)
             result[rows, columns] = distance(p[rows], *arguments)
     return result
 

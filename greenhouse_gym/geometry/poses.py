@@ -17,6 +17,13 @@ def is_rotation(matrix: npt.ArrayLike, tolerance: float = 1e-5) -> bool:
     return r.shape == (3, 3) and bool(np.isfinite(r).all() and are_rotations(r, tolerance))
 
 
+def is_pose(matrix: npt.ArrayLike, tolerance: float = 1e-4) -> bool:
+    """Return whether a matrix is a finite (4, 4) pose: a rotation to a tolerance, a translation and 0 0 0 1."""
+    t = np.asarray(matrix, dtype=np.float64)
+    finite = t.shape == (4, 4) and np.isfinite(t).all()
+    return bool(finite and np.allclose(t[3], [0, 0, 0, 1])) and is_rotation(t[:3, :3], tolerance)
+
+
 def are_rotations(matrices: Array, tolerance: float = 1e-5) -> npt.NDArray[np.bool_]:
     """Return whether matrices (..., 3, 3) of finite numbers are orthonormal with determinant +1, (...)."""
     # np.allclose gives the same but takes 0.2 ms

@@ -13,15 +13,9 @@ from greenhouse_gym.motion.collision import planning_model
 from greenhouse_gym.motion.joint_reaches import arm_reaches
 from greenhouse_gym.motion.leaf_contacts import LeafContacts
 from greenhouse_gym.motion.proof import ProvingChecker
-from greenhouse_gym.planning.certify import (
-    MAX_CHECKS,
-    certify_target,
-    load_rated,
-    new_folder,
-    shortest_free,
-    with_source,
-)
+from greenhouse_gym.planning.certify import MAX_CHECKS, certify_target, shortest_free
 from greenhouse_gym.planning.query import plan
+from greenhouse_gym.planning.rated_banks import load_rated, new_folder, with_source
 from greenhouse_gym.robots import Robot, get_robot
 from greenhouse_gym.scene import Scene, SceneBank, Target
 from greenhouse_gym.scene.bank import write_bank

@@ -12,7 +12,8 @@ import numpy as np
 from greenhouse_gym.common.files import exclusive
 from greenhouse_gym.errors import InvalidValueError, check_whole, require_seed
 from greenhouse_gym.motion.collision import CollisionChecker, planning_model
-from greenhouse_gym.planning.certify import certify_targets, load_rated, new_folder, with_source
+from greenhouse_gym.planning.certify import certify_targets
+from greenhouse_gym.planning.rated_banks import load_rated, new_folder, with_source
 from greenhouse_gym.robots import Robot, get_robot
 from greenhouse_gym.scene import Scene, SceneBank, compile_scene
 from greenhouse_gym.scene.bank import write_bank

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import mujoco
 import numpy as np
@@ -116,11 +115,6 @@ class Layout:
             name=SUCTION, type=mujoco.mjtEq.mjEQ_WELD, objtype=mujoco.mjtObj.mjOBJ_BODY, name1=cup.name,
             name2="loose_0", active=False,
         )  # fmt: skip
-
-    @cached_property
-    def fruit_count(self) -> int:
-        """Number of fruit that can come off."""
-        return self.trusses * self.fruit
 
 
 def _hinged(world: mujoco.MjsBody, name: str, number: int, geoms: int) -> mujoco.MjsBody:

@@ -20,7 +20,7 @@ from greenhouse_gym.common.array_files import read_arrays
 from greenhouse_gym.common.files import MAX_BYTES, parsing, read_bytes, write_atomically
 from greenhouse_gym.common.open3d_loader import open3d
 from greenhouse_gym.errors import FileFormatError, FileWriteError
-from greenhouse_gym.geometry import is_rotation
+from greenhouse_gym.geometry import is_pose
 from greenhouse_gym.geometry.point_clouds import Cloud, to_open3d
 from greenhouse_gym.reconstruction.meshing import TriangleMesh, mesh_to_open3d
 from greenhouse_gym.reconstruction.report import RowReport
@@ -80,7 +80,7 @@ def _check(arrays: dict[str, npt.NDArray[Any]], report: RowReport) -> None:
             raise ValueError(f"{name} are not all finite numbers")
     if points and not 0 <= arrays["station"].min() <= arrays["station"].max() < stations:
         raise ValueError(f"points of stations that do not exist; there are {stations}")
-    if not all(is_rotation(pose[:3, :3], tolerance=1e-4) and np.allclose(pose[3], [0, 0, 0, 1]) for pose in poses):
+    if not all(map(is_pose, poses)):
         raise ValueError("a registered station has no 4x4 pose")
     if len(report.stations) not in (0, stations):
         raise ValueError(f"its report has {len(report.stations)} stations, the arrays have {stations}")

@@ -14,6 +14,8 @@ from greenhouse_gym.scene.scene import Scene
 
 RED, PINK = (0.9, 0.05, 0.05), (1.0, 0.3, 0.65)
 
+_SAMPLES = 2  # rays per pixel in each direction
+
 
 def task_lines(tip: npt.ArrayLike, target: npt.ArrayLike, trace: npt.ArrayLike = ()) -> list[Line]:
     """Return the straight line from ``tip`` to ``target`` (3,) in red and the ``trace`` (m, 3) in pink, metres."""
@@ -32,7 +34,6 @@ def picture_of_path(
     camera: Viewpoint | None = None,
     width: int = 640,
     height: int = 480,
-    samples: int = 2,
 ) -> Image:
     """Render the arm at the end of a joint path, with the tip's path in pink and the line to the target in red.
 
@@ -44,7 +45,6 @@ def picture_of_path(
         camera: Viewpoint, as in `render_scene`.
         width: Pixels.
         height: Pixels.
-        samples: Rays per pixel in each direction.
 
     Raises:
         InvalidValueError: The path is empty or does not fit the arm, or the tomato does not exist.
@@ -65,4 +65,4 @@ def picture_of_path(
     center = scene.tomatoes[target].center
     camera = camera or default_camera(scene.placement)
     lines = task_lines(trace[0], center, trace)
-    return render_scene(compiled.model, data, camera, width, height, lines, samples)
+    return render_scene(compiled.model, data, camera, width, height, lines, _SAMPLES)

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from greenhouse_gym.errors import GreenhouseError, InvalidValueError, require_choice
 from greenhouse_gym.geometry import Array, rotation_about
 from greenhouse_gym.rendering.opengl import OpenGLMissingError, OpenGLRenderer, add_line, free_camera
-from greenhouse_gym.rendering.renderer import Viewpoint, render_depth, render_scene
+from greenhouse_gym.rendering.renderer import Line, Viewpoint, render_depth, render_scene
 from greenhouse_gym.rendering.task_pictures import task_lines
 from greenhouse_gym.scene.obstacles import ArmPlacement
 
@@ -124,7 +124,7 @@ class Viewer:
         if self.mode == "depth_array":
             return render_depth(model, data, camera, *size)
         if self.mode == "human":
-            self._show(model, data, placement, tip, target, trace)
+            self._show(model, data, camera, lines)
             return None
         if self._gl_works:
             try:
@@ -150,15 +150,7 @@ class Viewer:
         """Renderer of this thread."""
         return getattr(self._of_thread, "gl", None)
 
-    def _show(
-        self,
-        model: mujoco.MjModel,
-        data: mujoco.MjData,
-        placement: ArmPlacement,
-        tip: Array,
-        target: Array,
-        trace: list[Array],
-    ) -> None:
+    def _show(self, model: mujoco.MjModel, data: mujoco.MjData, camera: Viewpoint, lines: list[Line]) -> None:
         if not _has_display():
             raise NoDisplayError('render_mode="human" needs a display; choose "rgb_array" or "depth_array" here')
         import mujoco.viewer
@@ -166,7 +158,7 @@ class Viewer:
         if self._window is None:
             self._shown = (model, data)
             self._window = mujoco.viewer.launch_passive(model, data, show_left_ui=False, show_right_ui=False)
-            view = free_camera(self.picture.viewpoint(placement))
+            view = free_camera(camera)
             for name in ("lookat", "distance", "azimuth", "elevation"):
                 setattr(self._window.cam, name, getattr(view, name))
         assert self._shown is not None
@@ -177,7 +169,7 @@ class Viewer:
             shown_data.qpos[:] = data.qpos
             mujoco.mj_forward(shown_model, shown_data)
             self._window.user_scn.ngeom = 0
-            for line in task_lines(tip, target, trace):
+            for line in lines:
                 add_line(self._window.user_scn, line)
         self._window.sync()
 

@@ -15,7 +15,7 @@ from greenhouse_gym.evaluation.leaderboard import TRACKS, V1, Entry, Protocol, d
 from greenhouse_gym.evaluation.records import Evaluation, Record
 from greenhouse_gym.reporting.comparison_figures import colors_of
 from greenhouse_gym.reporting.comparison_page import comparison_page
-from greenhouse_gym.reporting.outcomes import outcome
+from greenhouse_gym.reporting.film import outcome
 from greenhouse_gym.reporting.scene_page import Motion, Replay, scene_page
 from greenhouse_gym.scene import SceneBank
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from itertools import count
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,7 +22,6 @@ from greenhouse_gym.geometry import Array
 from greenhouse_gym.rendering.picture_files import FILMS, require_picture, with_caption, write_film
 from greenhouse_gym.rendering.renderer import Image
 from greenhouse_gym.rendering.viewer import Picture, Viewer
-from greenhouse_gym.reporting.outcomes import outcome
 
 _HOLD = 1.0  # seconds for which the last image of an episode stays
 
@@ -148,3 +147,16 @@ class _Take(NamedTuple):
         )  # fmt: skip
         assert image is not None
         return with_caption(image, caption)
+
+
+def outcome(
+    success: bool, collision: bool, contact: Sequence[str], steps: int, distance: float, failure: str = ""
+) -> str:
+    """Describe how an episode ended; the values are those of `greenhouse_gym.evaluation.Record`."""
+    if failure:
+        return f"gave up after {steps} actions: {failure}"
+    if success:
+        return f"reached it after {steps} actions"
+    if collision:
+        return f"hit {contact[-1]} with its {contact[0]} after {steps} actions"
+    return f"ended {100 * distance:.0f} cm from it after {steps} actions"

@@ -1,4 +1,4 @@
-"""Pictures of recordings, reconstructions and occupancy as PNG files; clouds are splatted and meshes ray-cast."""
+"""Pictures of recordings, reconstructions, shapes and occupancy; clouds are splatted and meshes ray-cast."""
 
 from __future__ import annotations
 
@@ -8,10 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from greenhouse_gym.accuracy.silhouettes import Outlines
 from greenhouse_gym.capture import Recording
+from greenhouse_gym.capture.rig import Intrinsics
 from greenhouse_gym.common.open3d_loader import open3d
+from greenhouse_gym.crops.parts import Stem
 from greenhouse_gym.errors import FileFormatError
-from greenhouse_gym.geometry import Array, pose, transform
+from greenhouse_gym.geometry import Array, Ellipsoid, Shape, Sphere, invert, pose, transform
 from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud, TriangleMesh
 from greenhouse_gym.reconstruction.foreground import black_out
 from greenhouse_gym.reconstruction.occupancy_carving import carve
@@ -21,17 +24,17 @@ from greenhouse_gym.reconstruction.station_views import Calibration, CameraView,
 from greenhouse_gym.rendering.picture_files import write_picture
 from greenhouse_gym.rendering.renderer import Image
 from greenhouse_gym.scene.occupancy import UNKNOWN
+from greenhouse_gym.shapes import RowShapes
 
-FRONT = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
-"""View from the aisle: -y is right, z is up, x points away."""
-
-TOP = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-"""View from above: -y is right, x is up."""
+_VIEW = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
+"""View from the aisle by rows: image right is -y, image up is z, and x points away."""
 
 RED, BLUE = (0.85, 0.15, 0.12), (0.12, 0.25, 0.85)
+_TOMATO, _STEM, _CLUTTER = (230, 30, 30), (20, 60, 255), (250, 200, 40)  # RGB of outlines
 
 _SHEET_STATIONS, _SHEET_HEIGHT = 6, 180  # px of an image
 _FARTHEST = 1.5  # m, drawn darkest
+_GAP = 12  # px between images
 
 
 def upright(image: Image) -> Image:
@@ -39,11 +42,11 @@ def upright(image: Image) -> Image:
     return np.ascontiguousarray(np.rot90(image, -1))
 
 
-def side_by_side(images: Sequence[Image], gap: int = 12) -> Image:
+def side_by_side(images: Sequence[Image]) -> Image:
     """Put images next to each other on white, padded to the same height."""
     tallest = max(image.shape[0] for image in images)
-    padded = [np.pad(i, ((0, tallest - len(i)), (0, gap), (0, 0)), constant_values=255) for i in images]
-    return np.concatenate(padded, axis=1)[:, :-gap]
+    padded = [np.pad(i, ((0, tallest - len(i)), (0, _GAP), (0, 0)), constant_values=255) for i in images]
+    return np.concatenate(padded, axis=1)[:, :-_GAP]
 
 
 def save_pipeline(photograph: Image, cloud: Image, scene: Image, path: Path, height: int = 480) -> Path:
@@ -75,17 +78,16 @@ def contact_sheet(recording: Recording) -> Image:
     return np.concatenate(columns, axis=1) if columns else np.zeros((2 * _SHEET_HEIGHT, _SHEET_HEIGHT, 3), np.uint8)
 
 
-def splat(points: Array, colors: Array, view: Array = FRONT, width: int = 1400, size: int = 2) -> Image:
+def splat(points: Array, colors: Array, width: int = 1400, size: int = 2) -> Image:
     """Draw points (n, 3) with colors (n, 3) in [0, 1] orthographically on white, near ones over far ones.
 
     Args:
         points: Metres.
         colors: RGB.
-        view: (3, 3) rows: image right, image up, away from the viewer.
         width: Pixels.
         size: Pixels along the side of a point.
     """
-    right, up, away = view @ points.T
+    right, up, away = _VIEW @ points.T
     scale = (width - 20) / max(float(np.ptp(right)), 1e-6)
     height = int(np.ptp(up) * scale) + 20
     image = np.full((height + size, width + size, 3), 255, dtype=np.uint8)
@@ -99,11 +101,11 @@ def splat(points: Array, colors: Array, view: Array = FRONT, width: int = 1400, 
     return image[:height, :width]
 
 
-def draw_mesh(mesh: TriangleMesh, view: Array = FRONT, width: int = 1400) -> Image:
+def draw_mesh(mesh: TriangleMesh, width: int = 1400) -> Image:
     """Draw a mesh orthographically, shaded by the normals of its faces."""
     o3d = open3d()
     scene: Any = o3d.t.geometry.RaycastingScene()
-    vertices = mesh.vertices @ view.T
+    vertices = mesh.vertices @ _VIEW.T
     scene.add_triangles(o3d.core.Tensor(vertices.astype(np.float32)), o3d.core.Tensor(mesh.triangles.astype(np.uint32)))
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     step = (high[0] - low[0]) / width
@@ -197,3 +199,38 @@ def occupancy_picture(row: RowCloud, out: Path) -> tuple[Path, float]:
     near = np.linalg.norm(centers - [middle[0], middle[1], 1.1], axis=-1) < reach[0]
     observed = float((carving.states[near] != UNKNOWN).mean())
     return write_picture(side_by_side(images), out / "9-occupancy.png"), observed
+
+
+def draw_outlines(
+    photograph: Image, shapes: Sequence[Shape], intrinsics: Intrinsics, camera_from_shapes: Array
+) -> Image:
+    """Draw the outlines of shapes over a photograph (h, w, 3): tomatoes red, stems blue, the rest yellow.
+
+    Args:
+        photograph: The camera's image; not changed.
+        shapes: Shapes in any frame.
+        intrinsics: Intrinsics of the camera.
+        camera_from_shapes: (4, 4) pose of the shapes' frame.
+    """
+    import cv2
+
+    image = photograph.copy()
+    outlines = Outlines.of(shapes).seen_from(camera_from_shapes)
+    for i in outlines.in_view(intrinsics, np.inf, np.ones(len(shapes), dtype=bool)).tolist():
+        mask = np.zeros(image.shape[:2], dtype=np.uint8)
+        alone = outlines.silhouette(i, intrinsics)
+        mask[alone.image] = alone.covered
+        contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        is_fruit, is_stem = isinstance(shapes[i], Sphere | Ellipsoid), isinstance(shapes[i], Stem)
+        color = _TOMATO if is_fruit else _STEM if is_stem else _CLUTTER
+        cv2.drawContours(image, contours, -1, color, 2 if is_fruit else 1)
+    return image
+
+
+def shapes_over_photograph(recording: Recording, row: RowCloud, found: RowShapes, station: int) -> Image:
+    """Draw a row's shapes over the reference camera's photograph at a registered station, clutter below the rest."""
+    camera = recording.rig.cameras[recording.rig.reference]
+    photograph = recording[station].frames[recording.rig.reference].color
+    camera_from_row = invert(row.world_from_station[station] @ camera.rig_from_camera)
+    ordered: list[Shape] = [*found.clutter, *found.stems, *(tomato.shape for tomato in found.tomatoes)]
+    return draw_outlines(photograph, ordered, camera.intrinsics, camera_from_row)

@@ -69,16 +69,16 @@ def test_what_was_written_stays_when_it_is_cut_short(tmp_path: Path, fail: BaseE
 def test_a_disk_that_fails_in_the_middle_of_a_station_leaves_those_before(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from greenhouse_gym.capture import recordings
+    from greenhouse_gym.capture.formats import own
 
-    real = recordings.write_atomically
+    real = own.write_atomically
 
     def full(path: Path, content: bytes | str) -> Path:
         if path.name == "000001.png" and "depth" in path.parts:
             raise OSError("no space left on device")
         return real(path, content)
 
-    monkeypatch.setattr(recordings, "write_atomically", full)
+    monkeypatch.setattr(own, "write_atomically", full)
     with pytest.raises(OSError, match="no space"):
         record(moments(), RIG, tmp_path / "row")
     assert len(open_recording(tmp_path / "row")) == 1

@@ -20,7 +20,7 @@ from greenhouse_gym.capture import (
     open_recording,
     write_recording,
 )
-from greenhouse_gym.capture.recordings import INDEX
+from greenhouse_gym.capture.formats.own import INDEX
 from greenhouse_gym.errors import FileFormatError, InvalidValueError
 from greenhouse_gym.geometry import pose, rotation_about
 

@@ -13,11 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from greenhouse_gym.crops import grow_row
+from greenhouse_gym.crops.packed_tables import _decode, _encode
 from greenhouse_gym.crops.shape_tables import (
     COLUMNS,
     ShapeTables,
-    _decode,
-    _encode,
     as_tables,
     from_tables,
     select_near,

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from unittest.mock import patch
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -226,7 +228,8 @@ def test_closest_on_segments_lies_on_the_segment(start: np.ndarray, end: np.ndar
 @given(st.lists(shapes, max_size=6), st.integers(1, 20))
 def test_a_mixed_list_gives_each_shape_its_column(mixed: list[Shape], chunk: int) -> None:
     points = np.random.default_rng(0).uniform(-3, 3, (20, 3))
-    result = distance_to_shapes(points, mixed, chunk=chunk)
+    with patch("greenhouse_gym.geometry.distances._CHUNK", chunk):
+        result = distance_to_shapes(points, mixed)
     assert result.shape == (20, len(mixed))
     for column, shape in zip(result.T, mixed, strict=True):
         if isinstance(shape, Sphere):

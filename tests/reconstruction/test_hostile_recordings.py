@@ -14,7 +14,7 @@ import pytest
 from row_helpers import Depth, from_stations, half_recording, with_depth, worst_errors
 
 from greenhouse_gym.capture import Recording, RgbdFrame, Station, open_recording, write_recording
-from greenhouse_gym.capture.recordings import INDEX
+from greenhouse_gym.capture.formats.own import INDEX
 from greenhouse_gym.capture.sensor import sense_depth
 from greenhouse_gym.errors import FileFormatError, FileWriteError, InvalidValueError, ReconstructionError
 from greenhouse_gym.geometry import transform

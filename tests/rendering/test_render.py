@@ -73,7 +73,7 @@ def test_the_same_picture_twice_and_smoother_with_samples(scene: Scene) -> None:
 def test_picture_of_path_shows_line_and_trace(scene: Scene) -> None:
     robot = get_robot("ur5e")
     path = robot.start + np.linspace(0, 1, 20)[:, None] * [0.4, 0.5, 0.8, 0, 0, 0]
-    image = picture_of_path(scene, "ur5e", 4, path, width=320, height=240, samples=1).astype(int)
+    image = picture_of_path(scene, "ur5e", 4, path, width=320, height=240).astype(int)
     pink = (image[..., 0] > 190) & (image[..., 1] < 140) & (image[..., 2] > 110)
     assert image.shape == (240, 320, 3)
     assert pink.sum() > 20
@@ -83,11 +83,11 @@ def test_picture_of_path_shows_line_and_trace(scene: Scene) -> None:
 @pytest.mark.parametrize("path", [np.zeros((0, 6)), np.zeros((3, 5)), np.zeros(6)])
 def test_a_path_must_fit_the_arm(scene: Scene, path: np.ndarray) -> None:
     with pytest.raises(InvalidValueError, match="path"):
-        picture_of_path(scene, "ur5e", 0, path, **SMALL)
+        picture_of_path(scene, "ur5e", 0, path)
 
 
 def test_sizes_and_targets_are_checked(scene: Scene, ball: tuple[mujoco.MjModel, mujoco.MjData]) -> None:
     with pytest.raises(InvalidValueError, match="width"):
         render_scene(*ball, width=0)
     with pytest.raises(InvalidValueError, match="target"):
-        picture_of_path(scene, "ur5e", 99, np.zeros((1, 6)), **SMALL)
+        picture_of_path(scene, "ur5e", 99, np.zeros((1, 6)))

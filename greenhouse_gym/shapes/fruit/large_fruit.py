@@ -6,21 +6,30 @@ the same size and hue; see `hidden_fruit`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.shapes.fruit.classifiers import SEED_WEIGHTS, SphereClassifiers, logistic, shipped_classifiers
 from greenhouse_gym.shapes.fruit.context_features import CONTEXT_FEATURES, context_features
 from greenhouse_gym.shapes.fruit.hidden_fruit import fit_hidden
 from greenhouse_gym.shapes.fruit.shell_features import shell_features
 from greenhouse_gym.shapes.fruit.sphere_features import MAX_CONTRAST, SPHERE_FEATURES, sphere_features
 from greenhouse_gym.shapes.fruit.spheres import SphereFit, fit_spheres, is_separate, vote
 from greenhouse_gym.shapes.fruit.trusses import group_neighbors
+from greenhouse_gym.shapes.networks import network
 from greenhouse_gym.shapes.settings import ShapeSettings
 from greenhouse_gym.shapes.surface_cloud import SurfaceCloud, fruit_mask
+
+Classifier = Callable[[Array], Array]
+"""Returns the confidence (k,), 0 to 1, that spheres with features (k, m) are fruit."""
+
+SEED_WEIGHTS = np.array([
+    12.54, -12.55, -1.977, 1.232, 55.67, -4.928, -2.524, 5.869, -1.454, -2.269, 5.039, 2.666, 9.603, 0.4137,
+    0.8649, 2.43, 1.074, -55.88,
+])  # fmt: skip
+"""Logistic weights of `sphere_features.SPHERE_FEATURES`, and the offset."""
 
 _CONFIDENT = 0.8  # confidence above which a fruit is context for others
 _RMSE_UNIT = 0.001  # metres of root mean square distance that halve a sphere's rank
@@ -37,6 +46,13 @@ _CONTRAST = SPHERE_FEATURES.index("contrast")
 _SMALLER_CURVATURE = SPHERE_FEATURES.index("smaller curvature")
 _PATCH_CURVATURE = SPHERE_FEATURES.index("patch's smaller curvature")
 _NEIGHBORS = len(SPHERE_FEATURES) + CONTEXT_FEATURES.index("neighbors")
+
+
+class SphereClassifiers(NamedTuple):
+    """Classifiers of the spheres of the first and of the second pass."""
+
+    first: Classifier
+    second: Classifier
 
 
 class ScoredFruit(NamedTuple):
@@ -141,3 +157,16 @@ def row_order(fits: Sequence[SphereFit]) -> list[int]:
 def hues_of(fits: Sequence[SphereFit], cloud: SurfaceCloud) -> Array:
     """Return the median hue (k,) of spheres among the points of a cloud."""
     return np.array([np.median(cloud.hues[fit.points]) for fit in fits])
+
+
+def shipped_classifiers() -> SphereClassifiers:
+    """Return the shipped networks.
+
+    Their features are those of `sphere_features`, `context_features` and `shell_features`, in this order.
+    """
+    return SphereClassifiers(network("fruit/first_pass"), network("fruit/second_pass"))
+
+
+def logistic(features: Array, weights: Array) -> Array:
+    """Return probabilities (k,) from features (k, m) and their weights with the offset (m + 1,)."""
+    return np.asarray(1 / (1 + np.exp(-np.clip(features @ weights[:-1] + weights[-1], -30.0, 30.0))))

@@ -16,9 +16,8 @@ from scipy.spatial import cKDTree
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.shapes.colors import colorful_mask
 from greenhouse_gym.shapes.evidence import SHELL
-from greenhouse_gym.shapes.fruit.classifiers import Classifier
 from greenhouse_gym.shapes.fruit.context_features import context_features
-from greenhouse_gym.shapes.fruit.large_fruit import ScoredFruit, hues_of
+from greenhouse_gym.shapes.fruit.large_fruit import Classifier, ScoredFruit, hues_of
 from greenhouse_gym.shapes.fruit.shell_features import shell_features
 from greenhouse_gym.shapes.fruit.sphere_features import sphere_features
 from greenhouse_gym.shapes.fruit.spheres import (

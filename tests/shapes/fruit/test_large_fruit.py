@@ -6,9 +6,14 @@ import numpy as np
 import pytest
 
 from greenhouse_gym.shapes import ShapeSettings
-from greenhouse_gym.shapes.fruit.classifiers import SEED_WEIGHTS, SphereClassifiers, shipped_classifiers
 from greenhouse_gym.shapes.fruit.context_features import CONTEXT_FEATURES
-from greenhouse_gym.shapes.fruit.large_fruit import Candidates, large_fruit
+from greenhouse_gym.shapes.fruit.large_fruit import (
+    SEED_WEIGHTS,
+    Candidates,
+    SphereClassifiers,
+    large_fruit,
+    shipped_classifiers,
+)
 from greenhouse_gym.shapes.fruit.shell_features import SHELL_FEATURES
 from greenhouse_gym.shapes.fruit.sphere_features import MAX_CONTRAST, SPHERE_FEATURES
 from greenhouse_gym.shapes.fruit.spheres import SphereFit

@@ -93,13 +93,12 @@ def positional_parts(path: Path, table: npt.NDArray[Any], total: int = 0) -> Par
     return Parts(rows[:, :3], colors, normals, total)
 
 
-def fractions(path: Path, colors: npt.NDArray[Any], white: float | None = None) -> Array:
+def fractions(path: Path, colors: npt.NDArray[Any]) -> Array:
     """Return colors of any type as fractions of white, NaN where a color is not finite.
 
     Args:
         path: The file, for messages.
-        colors: (n, 3).
-        white: Value of white; by default that of the type, or the smallest common one that no value exceeds.
+        colors: (n, 3). White is 1 for fractions, else 255 or 65535: the smaller one that no value exceeds.
 
     Raises:
         FileFormatError: Values are below black or above white.
@@ -109,10 +108,8 @@ def fractions(path: Path, colors: npt.NDArray[Any], white: float | None = None) 
     values = colors.astype(np.float64)
     values[~np.isfinite(values)] = np.nan
     low, high = np.nanmin(values, initial=0.0), np.nanmax(values, initial=0.0)
-    if white is None and colors.dtype.kind == "f" and high <= _MAX_FRACTION:
-        white = 1.0
-    if white is None:
-        white = next((each for each in _WHITE if high <= each), np.nan)
+    are_fractions = colors.dtype.kind == "f" and high <= _MAX_FRACTION
+    white = 1.0 if are_fractions else next((each for each in _WHITE if high <= each), np.nan)
     if not (low >= -(_MAX_FRACTION - 1) * white and high <= _MAX_FRACTION * white):
         raise FileFormatError(path, f"colors from {low:g} to {high:g}; expected 0 to 1, 255 or 65535")
     return np.clip(values / white, 0.0, 1.0)
