@@ -101,7 +101,7 @@ class ReconstructionError(GreenhouseError):
 def require_choice(kind: str, name: str, choices: Iterable[str]) -> str:
     """Return ``name`` if it is among ``choices``, else raise `UnknownNameError` listing them."""
     choices = tuple(choices)
-    if name not in choices:
+    if not isinstance(name, str) or name not in choices:
         raise UnknownNameError(kind, name, choices)
     return name
 
@@ -124,6 +124,18 @@ def check_whole(name: str, value: Any, lowest: int, highest: int | None = None) 
         limit = "up" if highest is None else f"to {highest}"
         raise InvalidValueError(f"{name} must be a whole number from {lowest} {limit}, got {value!r}")
     return int(value)
+
+
+def check_items(name: str, values: Any, expected: str) -> tuple[Any, ...]:
+    """Return the items of an iterable.
+
+    Raises:
+        InvalidValueError: It is none.
+    """
+    try:
+        return tuple(values)
+    except TypeError as error:
+        raise InvalidValueError(f"{name} must be {expected}, got {values!r}") from error
 
 
 def is_number(value: object) -> bool:

@@ -17,7 +17,7 @@ from conftest import make_scene
 from greenhouse_gym.capture import Camera, Intrinsics, Recording, RgbdFrame, Rig, Station, open_recording
 from greenhouse_gym.capture.formats.bag_readers import open_bag
 from greenhouse_gym.capture.formats.own import INDEX, write_recording
-from greenhouse_gym.capture.image_files import read_color, read_depth
+from greenhouse_gym.capture.image_files import read_color, read_depth, read_image
 from greenhouse_gym.common import files as paths
 from greenhouse_gym.common.files import checked_name, read_bytes
 from greenhouse_gym.errors import FileFormatError, InvalidValueError
@@ -161,11 +161,11 @@ def test_a_file_beyond_its_kinds_limit_is_refused_before_it_is_read(
             read_bytes(sparse, kind)
 
 
-def png_header(width: int, height: int) -> bytes:
+def png_header(width: int, height: int, bits: int = 8, color: int = 2) -> bytes:
     def chunk(kind: bytes, data: bytes) -> bytes:
         return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
-    size = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    size = struct.pack(">IIBBBBB", width, height, bits, color, 0, 0, 0)
     return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", size) + chunk(b"IDAT", zlib.compress(b"")) + chunk(b"IEND", b"")
 
 
@@ -173,8 +173,33 @@ def png_header(width: int, height: int) -> bytes:
 def test_an_image_too_large_is_refused_by_its_header(tmp_path: Path, size: tuple[int, int]) -> None:
     path = tmp_path / "large.png"
     path.write_bytes(png_header(*size))
-    with pytest.raises(FileFormatError, match=f"{size[0]}x{size[1]} pixels is too large"):
+    with pytest.raises(FileFormatError, match=f"{size[0]}x{size[1]} pixels of 3 bytes is too large"):
         read_color(path)
+
+
+def tiff_header(**numbers: int) -> bytes:
+    """The directory of a TIFF file of 64 x 64 pixels with other numbers."""
+    tags = {"256": 64, "257": 64, "258": 16, "259": 8, "277": 1} | numbers
+    entries = [struct.pack("<HHII", int(tag), 4, 1, value) for tag, value in sorted(tags.items())]
+    return b"II*\0" + struct.pack("<IH", 8, len(entries)) + b"".join(entries) + bytes(4)
+
+
+@pytest.mark.parametrize(
+    ("content", "problem"),
+    [
+        (png_header(8000, 8000, 16, 6), "pixels of 8 bytes is too large"),
+        (tiff_header(**{"256": 8000, "257": 8000, "258": 64}), "8000x8000 pixels of 8 bytes is too large"),
+        (tiff_header(**{"256": 8000, "257": 8000, "277": 4}), "8000x8000 pixels of 8 bytes is too large"),
+        (tiff_header(**{"322": 2**14, "323": 2**14}), "16384x16384 pixels of 2 bytes is too large"),
+        (b"P5 60000 60000 65535\n", "60000x60000 pixels of 3 bytes is too large"),
+        (b"\xff\xd8" + 101 * b"\xff\xda\0\2" + b"\xff\xd9", "more than 100 scans"),
+    ],
+)
+def test_an_image_that_unpacks_to_much_is_refused_by_its_header(tmp_path: Path, content: bytes, problem: str) -> None:
+    path = tmp_path / "image"
+    path.write_bytes(content)
+    with pytest.raises(FileFormatError, match=problem):
+        read_image(path)
 
 
 def tomato(radius: float, y: float = 0.0) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Callable
 from pathlib import Path
 from pkgutil import resolve_name
@@ -19,7 +20,7 @@ from greenhouse_gym.agents.scan_harvester import ScanHarvester
 from greenhouse_gym.agents.shield import ShieldedAgent
 from greenhouse_gym.agents.watchful import WatchfulAgent
 from greenhouse_gym.common.own_code import load_own, make
-from greenhouse_gym.errors import FileFormatError, MissingDependencyError, UnknownNameError
+from greenhouse_gym.errors import FileFormatError, InvalidValueError, MissingDependencyError, UnknownNameError
 from greenhouse_gym.planning import PAPER_PLANNERS, PLANNERS
 
 _NAMED: tuple[type[Agent], ...] = (
@@ -32,6 +33,7 @@ SIMPLE: dict[str, Callable[[], Agent]] = {
 """Agents by name that are made without arguments."""
 
 _CHECKPOINT = "checkpoint.safetensors"
+_LONGEST_NAME = 1000  # characters; longer paths are errors of the system
 
 
 def _training(path: Path) -> Path | None:
@@ -65,6 +67,8 @@ def make_agent(name: str) -> Agent:
         InvalidValueError: The name refers to something that is not an agent.
         MissingDependencyError: The name is a planner's, and OMPL is not installed.
     """
+    if not isinstance(name, str) or not 0 < len(name) <= _LONGEST_NAME:
+        raise InvalidValueError(f"expected the name of an agent, got {reprlib.repr(name)}")
     if name in SIMPLE:
         return SIMPLE[name]()
     _, colon, attribute = name.rpartition(":")

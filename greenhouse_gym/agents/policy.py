@@ -218,7 +218,7 @@ def policy_path(path: str | Path) -> Path:
 def description_path(path: str | Path) -> Path:
     """Return the JSON file of the policy at a path with or without suffix."""
     stem = policy_path(path)
-    return stem.with_name(stem.name + ".json")
+    return stem.parent / f"{stem.name}.json"
 
 
 def _safetensors() -> Any:

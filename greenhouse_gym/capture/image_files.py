@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -20,9 +20,11 @@ from greenhouse_gym.errors import FileFormatError
 with needs("reconstruct"):
     import cv2
 
-MAX_PIXELS = 64 * 10**6  # as many as the largest cameras have
+MAX_BYTES = 192 * 10**6  # of a decoded image: 64 million pixels of color, as many as the largest cameras have
 PNG_START, _JPEG_START = b"\x89PNG\r\n\x1a\n", b"\xff\xd8"
-_WIDTH, _HEIGHT, _ORIENTATION = 256, 257, 274  # tags of TIFF
+_MAX_SCANS = 100  # of a progressive JPEG; each takes as long as decoding a whole image
+_PNG_CHANNELS = {0: 1, 2: 3, 3: 4, 4: 4, 6: 4}  # of the decoded image, by its kind of color
+_WIDTH, _HEIGHT, _BITS, _ORIENTATION, _SAMPLES, _TILE_WIDTH, _TILE_HEIGHT = 256, 257, 258, 274, 277, 322, 323  # in TIFF
 
 
 def read_color(path: str | Path) -> npt.NDArray[np.uint8]:
@@ -58,8 +60,9 @@ def read_exr(path: Path) -> npt.NDArray[np.generic]:
     with parsing(path, "OpenEXR image"):
         with OpenEXR.File(str(path), header_only=True) as file:
             first, last = file.header()["dataWindow"]
-        if np.prod(np.subtract(last, first) + 1.0) > MAX_PIXELS:
-            raise FileFormatError(path, f"an image of more than {MAX_PIXELS} pixels is too large")
+            size = np.prod(np.subtract(last, first) + 1.0) * 4 * len(file.header()["channels"])
+        if size > MAX_BYTES:
+            raise FileFormatError(path, f"an image of {size:.0f} bytes is too large: at most {MAX_BYTES}")
         with OpenEXR.File(str(path), separate_channels=True) as file:
             channels = {channel.rpartition(".")[2]: data.pixels for channel, data in file.channels().items()}
     named = [channel for channel in ("Z", "V", "Y", "R") if channel in channels]
@@ -109,61 +112,84 @@ def encode_png(image: npt.NDArray[np.uint8] | npt.NDArray[np.uint16]) -> bytes:
 
 
 def _decode(path: Path, mode: int, foreign: bool = False) -> npt.NDArray[np.generic]:
-    data = read_bytes(path, "image")
-    size = declared_size(data)
+    return decode(path, read_bytes(path, "image"), mode, foreign)
+
+
+def decode(source: object, data: bytes, mode: int, foreign: bool = False) -> npt.NDArray[np.generic]:
+    """Decode the content of an image file by OpenCV, which is given no more than it can hold in memory.
+
+    Args:
+        source: The file, or what else holds the image, for messages.
+        data: The content.
+        mode: One of OpenCV's modes of reading.
+        foreign: Read PNM and TIFF as well.
+
+    Raises:
+        FileFormatError: It is no such image, damaged, or too large.
+    """
     if data.startswith(PNG_START):
-        kind, whole = "PNG", data.endswith(b"IEND\xaeB`\x82")
+        kind, size, whole = "PNG", _png_size(data), data.endswith(b"IEND\xaeB`\x82")
     elif data.startswith(_JPEG_START):
-        kind, whole = "JPEG", b"\xff\xd9" in data[-64:]
+        kind, size, whole = "JPEG", _jpeg_size(data), b"\xff\xd9" in data.rstrip(b"\0")[-64:]
+        if data.count(b"\xff\xda") > _MAX_SCANS:
+            raise FileFormatError(source, f"a JPEG file of more than {_MAX_SCANS} scans is not read")
     elif foreign and data[:2] in (b"P5", b"P6"):
         kind, size, whole = "PNM", _pnm_size(data), True
     elif foreign and data[:4] in (b"II*\0", b"MM\0*"):
         data, size = _as_stored(data)
         kind, whole = "TIFF", True
     else:
-        raise FileFormatError(path, f"neither a PNG nor a JPEG file ({len(data)} bytes)")
+        raise FileFormatError(source, f"neither a PNG nor a JPEG file ({len(data)} bytes)")
     if not whole or size is None:
-        raise FileFormatError(path, f"truncated {kind} file ({len(data)} bytes)")
-    if size[0] * size[1] > MAX_PIXELS:
-        raise FileFormatError(path, f"an image of {size[0]}x{size[1]} pixels is too large: at most {MAX_PIXELS}")
-    with parsing(path, "image"):
+        raise FileFormatError(source, f"truncated {kind} file ({len(data)} bytes)")
+    if size.width * size.height * size.pixel_bytes > MAX_BYTES:
+        raise FileFormatError(
+            source, f"an image of {size.width}x{size.height} pixels of {size.pixel_bytes} bytes is too large: at most "
+            f"{MAX_BYTES} bytes are decoded",
+        )  # fmt: skip
+    with parsing(source, "image"):
         image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), mode)
     if image is None:
-        raise FileFormatError(path, f"not a {kind} file that can be decoded ({len(data)} bytes)")
+        raise FileFormatError(source, f"not a {kind} file that can be decoded ({len(data)} bytes)")
     return image
 
 
-def declared_size(data: bytes) -> tuple[int, int] | None:
-    """Return width and height of a PNG or JPEG file by its headers; None if it is neither or has none."""
-    if data.startswith(PNG_START):
-        return _png_size(data)
-    return _jpeg_size(data) if data.startswith(_JPEG_START) else None
+class _Size(NamedTuple):
+    """Width and height of a decoded image, pixels, and bytes of a pixel."""
+
+    width: int
+    height: int
+    pixel_bytes: int
 
 
-def _png_size(data: bytes) -> tuple[int, int] | None:
-    """Return width and height from the first chunk of a PNG file."""
-    return (int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")) if len(data) >= 24 else None
+def _png_size(data: bytes) -> _Size | None:
+    """Return the size by the first chunk of a PNG file."""
+    if len(data) < 26:
+        return None
+    width, height = int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
+    return _Size(width, height, _PNG_CHANNELS.get(data[25], 4) * (2 if data[24] > 8 else 1))
 
 
-def _jpeg_size(data: bytes) -> tuple[int, int] | None:
-    """Return width and height from the frame header of a JPEG file; None without one."""
+def _jpeg_size(data: bytes) -> _Size | None:
+    """Return the size by the frame header of a JPEG file; None without one."""
     at = 2
-    while at + 9 <= len(data) and data[at] == 0xFF:
+    while at + 10 <= len(data) and data[at] == 0xFF:
         marker, length = data[at + 1], int.from_bytes(data[at + 2 : at + 4], "big")
         if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):
-            return int.from_bytes(data[at + 7 : at + 9], "big"), int.from_bytes(data[at + 5 : at + 7], "big")
+            height, width = int.from_bytes(data[at + 5 : at + 7], "big"), int.from_bytes(data[at + 7 : at + 9], "big")
+            return _Size(width, height, max(3, data[at + 9]))
         at += 1 if marker == 0xFF else 2 + length
     return None
 
 
-def _pnm_size(data: bytes) -> tuple[int, int] | None:
-    """Return width and height from the header of a PGM or PPM file."""
+def _pnm_size(data: bytes) -> _Size | None:
+    """Return the size by the header of a PGM or PPM file."""
     fields = re.sub(rb"#[^\n]*", b"", data[:1000]).split(maxsplit=4)[1:3]
-    return (int(fields[0]), int(fields[1])) if len(fields) == 2 and all(map(bytes.isdigit, fields)) else None
+    return _Size(int(fields[0]), int(fields[1]), 3) if len(fields) == 2 and all(map(bytes.isdigit, fields)) else None
 
 
-def _as_stored(data: bytes) -> tuple[bytes, tuple[int, int] | None]:
-    """Return a TIFF file without its orientation, which OpenCV's decoder obeys, and its width and height."""
+def _as_stored(data: bytes) -> tuple[bytes, _Size | None]:
+    """Return a TIFF file without its orientation, which OpenCV's decoder obeys, and its size or that of its tiles."""
     order: Literal["little", "big"] = "little" if data[:1] == b"I" else "big"
     content = bytearray(data)
 
@@ -171,10 +197,14 @@ def _as_stored(data: bytes) -> tuple[bytes, tuple[int, int] | None]:
         return int.from_bytes(data[at : at + length], order)
 
     directory = number(4, 4)
-    found = {}
+    found = {_BITS: 1, _SAMPLES: 1, _TILE_WIDTH: 0, _TILE_HEIGHT: 0}
     for entry in range(directory + 2, directory + 2 + 12 * number(directory, 2), 12):
         tag, short = number(entry, 2), number(entry + 2, 2) == 3
-        found[tag] = number(entry + 8, 2 if short else 4)
+        at = number(entry + 8, 4) if short and number(entry + 4, 4) > 2 else entry + 8
+        found[tag] = number(at, 2 if short else 4)
         if tag == _ORIENTATION and entry + 10 <= len(content):
             content[entry + 8 : entry + 10] = (1).to_bytes(2, order)
-    return bytes(content), (found[_WIDTH], found[_HEIGHT]) if {_WIDTH, _HEIGHT} <= found.keys() else None
+    if not {_WIDTH, _HEIGHT} <= found.keys():
+        return bytes(content), None
+    width, height = max(found[_WIDTH], found[_TILE_WIDTH]), max(found[_HEIGHT], found[_TILE_HEIGHT])
+    return bytes(content), _Size(width, height, max(1, found[_BITS] // 8) * max(1, found[_SAMPLES]))

@@ -68,7 +68,8 @@ def import_(
     from greenhouse_gym.rendering.picture_files import write_picture
     from greenhouse_gym.reporting.pictures import contact_sheet
 
-    if (out / INDEX).exists():
+    report, picture = out / "import.json", out / "import.png"
+    if (out / INDEX).exists() and not (report.exists() and not picture.exists()):  # else it was interrupted
         raise FileFormatError(out / INDEX, "already holds a recording; choose another folder or remove it")
     opened = _on_rig(open_recording(source, format), rig)
     notes = list(opened.notes)
@@ -81,12 +82,14 @@ def import_(
         if picked.unreadable:
             notes.append(f"{len(picked.unreadable)} frames are unreadable and were left out")
         opened = select_stations(opened, picked.frames)
+    content = {"source": str(source), "notes": notes}
+    write_atomically(report, json.dumps(content) + "\n")
+    (out / INDEX).unlink(missing_ok=True)
     with progress("stations", len(opened)) as on_progress:
         write_recording(replace(opened, notes=()), out, lambda i: on_progress(i + 1))
     found = inspect_recording(open_recording(out))
-    report = {"source": str(source), "notes": notes, **asdict(found)}
-    write_atomically(out / "import.json", json.dumps(report, indent=1) + "\n")
-    write_picture(contact_sheet(open_recording(out)), out / "import.png")
+    write_atomically(report, json.dumps({**content, **asdict(found)}, indent=1) + "\n")
+    write_picture(contact_sheet(open_recording(out)), picture)
     for line in (*notes, *found.verdict):
         say(line)
     say(f"{len(opened)} stations in {out}")

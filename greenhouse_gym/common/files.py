@@ -91,8 +91,15 @@ def checked_name(kind: str, name: str) -> str:
 
 
 def resolved(path: str | Path) -> Path:
-    """Return an absolute path without links; unlike ``Path.resolve``, a loop of links is no error here."""
-    return Path(os.path.realpath(path))
+    """Return an absolute path without links; unlike ``Path.resolve``, a loop of links is no error here.
+
+    Raises:
+        InvalidValueError: The argument is no path.
+    """
+    try:
+        return Path(os.path.realpath(Path(path)))
+    except (TypeError, ValueError) as error:
+        raise InvalidValueError(f"expected a path, got {reprlib.repr(path)} ({error})") from error
 
 
 def inside(folder: str | Path, relative: str, named_in: object) -> Path:
@@ -130,11 +137,11 @@ def read_bytes(path: str | Path, kind: str) -> bytes:
         FileFormatError: The file is missing, unreadable, not a regular file, or too large.
     """
     try:
-        with open(path, "rb", opener=_without_waiting) as file:
+        with open(Path(path), "rb", opener=_without_waiting) as file:  # a number would be an open file, and closed
             status = os.fstat(file.fileno())
             readable = stat.S_ISREG(status.st_mode) and status.st_size <= MAX_BYTES[kind]
             content = file.read(status.st_size) if readable else b""
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, TypeError) as error:
         raise FileFormatError(path, f"cannot be read ({getattr(error, 'strerror', None) or error})") from error
     if not stat.S_ISREG(status.st_mode):
         raise FileFormatError(path, "cannot be read (not a regular file)")

@@ -283,6 +283,8 @@ def parse_difficulty(difficulty: DifficultyChoice) -> dict[str, float]:
         UnknownNameError: A difficulty does not exist.
         InvalidValueError: No difficulty is given, or the weights are negative or all zero.
     """
+    if isinstance(difficulty, np.ndarray):
+        difficulty = difficulty.tolist()
     if not isinstance(difficulty, (str, Iterable)):
         raise InvalidValueError(
             f"difficulty must be one of {', '.join(DIFFICULTIES)}, several, or a weight for each, got {difficulty!r}"

@@ -23,6 +23,7 @@ from greenhouse_gym.envs.rewards import Reward
 from greenhouse_gym.envs.state import RATE, control_timing
 from greenhouse_gym.envs.task import Task
 from greenhouse_gym.errors import InvalidValueError, UnknownKeywordError, check_whole, is_number, require_choice
+from greenhouse_gym.geometry import numbers_of
 from greenhouse_gym.motion.success import SUCCESS_RADIUS
 from greenhouse_gym.robots import ROBOTS, Robot, get_robot
 from greenhouse_gym.scene import Scene, SceneBank
@@ -224,9 +225,10 @@ def _check_kind(name: str, value: Any, kinds: type | tuple[type, ...], expected:
 
 
 def _numbers(name: str, value: Any) -> tuple[float, ...]:
-    if not isinstance(value, Sequence | np.ndarray) or not all(map(is_number, value)):
+    numbers = numbers_of(value)
+    if numbers.ndim != 1 or not numbers.size or not np.isfinite(numbers).all():
         raise InvalidValueError(f"{name} must be a name or numbers, got {value!r}")
-    return tuple(map(float, value))
+    return tuple(numbers.tolist())
 
 
 def _divides(rate: float) -> bool:

@@ -83,7 +83,7 @@ class GreenhouseVectorEnv(  # type: ignore[misc]
         if max_episode_steps is not None:
             limit = check_whole("max_episode_steps", max_episode_steps, 1, step_limit_of(self.settings))
             self.settings = replace(self.settings, step_limit=limit)
-        self.num_envs = num_envs = check_whole("num_envs", num_envs, 1)
+        self.num_envs = num_envs = check_whole("num_envs", num_envs, 1, 2**20)
         threads = check_whole("threads", threads, 0, MAX_THREADS)
         self.render_mode = None if render_mode is None else require_choice("render mode", render_mode, RENDER_MODES)
         picture = Picture(width, height, camera)

@@ -23,7 +23,7 @@ from greenhouse_gym.common.own_code import described
 from greenhouse_gym.common.progress import progress as progress_of
 from greenhouse_gym.envs import EnvSettings, make_vec_env
 from greenhouse_gym.envs.choices import make_task
-from greenhouse_gym.errors import InvalidValueError, require_seed
+from greenhouse_gym.errors import InvalidValueError, UnknownKeywordError, check_items, check_whole, require_seed
 from greenhouse_gym.evaluation.deadline import Deadline, describe, printable
 from greenhouse_gym.evaluation.journal import RecordJournal
 from greenhouse_gym.evaluation.records import Evaluation, Evaluations, Record
@@ -37,6 +37,7 @@ AGENTS_CHOICE = ("observation", "action")
 _SHOWN = reprlib.Repr()  # also of objects that cannot be printed
 _SHOWN.maxother = _SHOWN.maxstring = 100
 
+_MAX_EPISODES, _PAIRS = 10**7, "pairs of a scene's name and a target"
 _PARTS = 16  # per worker, so that all workers finish at about the same time and an interruption loses little
 
 
@@ -84,17 +85,15 @@ def evaluate(
         AgentError: The agent failed before its first valid action; with an executor, in the first episode.
         WorkerLostError: A process of the executor died.
     """
-    for name, number in (("episodes", episodes), ("num_envs", num_envs)):
-        if isinstance(number, bool) or not isinstance(number, (int, np.integer)) or number < 1:
-            raise InvalidValueError(f"{name} must be a whole number from 1 up, got {number!r}")
+    num_envs = check_whole("num_envs", num_envs, 1)
+    for name, given, kind in (("executor", executor, Executor), ("journal", journal, RecordJournal)):
+        if not isinstance(given, kind | None):
+            raise InvalidValueError(f"{name} must be an object of {kind.__name__} or None, got {given!r}")
     Deadline(timeout)  # raises before anything is run
-    agent, seed, episodes, num_envs = agent_of(agent), require_seed(seed), int(episodes), int(num_envs)
+    agent, seed, chosen = agent_of(agent), require_seed(seed), _chosen(episodes, problems)
     own = dict(agent.env_options)
     changed = changed_rules(agent.name, own, {**options, "split": split})
     truth = declares_truth(agent)
-    chosen: list[dict[str, Any]] = [{}] * episodes
-    if problems is not None:
-        chosen = [{"scene": name, "target": k} for name, k in problems]
     ended = {} if journal is None else {k: record for k, record in journal.records.items() if k < len(chosen)}
     left = tuple((k, where) for k, where in enumerate(chosen) if k not in ended)
     choice = {key: own[key] for key in AGENTS_CHOICE if key in own}
@@ -116,6 +115,21 @@ def evaluate(
     return Evaluation(agent.name, records)
 
 
+def _chosen(episodes: int, problems: Sequence[tuple[str, int]] | None) -> list[dict[str, Any]]:
+    """Return the reset options of all episodes.
+
+    Raises:
+        InvalidValueError: The problems are no pairs, or the number of episodes is invalid.
+    """
+    episodes = check_whole("episodes", episodes, 1, _MAX_EPISODES)
+    if problems is None:
+        return [{}] * episodes
+    pairs = [check_items("problems", pair, _PAIRS) for pair in check_items("problems", problems, _PAIRS)]
+    if any(len(pair) != 2 for pair in pairs):
+        raise InvalidValueError(f"problems must be {_PAIRS}, got {_SHOWN.repr(problems)}")
+    return [{"scene": name, "target": k} for name, k in pairs]
+
+
 def changed_rules(agent: str, own: Mapping[str, Any], options: Mapping[str, Any]) -> dict[str, Any]:
     """Return the keywords by which an agent's ``env_options`` change the rules of the episodes.
 
@@ -128,8 +142,13 @@ def changed_rules(agent: str, own: Mapping[str, Any], options: Mapping[str, Any]
 
     Raises:
         InvalidValueError: The agent's ``env_options`` contradict the keywords of the episodes.
+        UnknownKeywordError: They have a key that is no keyword of an environment.
     """
     for key, value in own.items():
+        if not isinstance(key, str) or key in ("self", "num_envs"):
+            raise UnknownKeywordError(
+                f"agent {agent!r}: its env_options have {key!r}, which is no keyword of gymnasium.make"
+            )
         if key in options and not _same(value, options[key]):
             raise InvalidValueError(f"agent {agent!r} needs {key}={_SHOWN.repr(value)}, got {options[key]!r}")
     plain = EnvSettings()
@@ -183,7 +202,8 @@ def compare(
         except (AgentError, WorkerLostError) as error:
             return Evaluation(agent.name, (), str(error))
 
-    return Evaluations([one(agent_of(agent)) for agent in ([agents] if isinstance(agents, str) else agents)])
+    several = (agents,) if isinstance(agents, str) else check_items("agents", agents, "agents or their names")
+    return Evaluations([one(agent_of(agent)) for agent in several])
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,7 +238,8 @@ def retrace(
     agent = agent_of(agent)
     env = make_vec_env(1, **{**agent.env_options, **options, "split": split})
     try:
-        chosen = deque((require_seed(seed), dict[str, Any]()) for seed in seeds)
+        numbers = check_items("seeds", seeds, "whole numbers")
+        chosen = deque((require_seed(seed), dict[str, Any]()) for seed in numbers)
         runner = EpisodeRunner(agent, env, chosen, 0, timeout, proven=True, knows_truth=knows_truth(agent))
         return tuple(Trace(result.record, env.simulation.robot, result.joints) for result in runner.run())
     finally:

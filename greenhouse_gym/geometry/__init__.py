@@ -3,7 +3,7 @@
 Lengths are metres. A pose is a 4x4 matrix named ``target_from_source``: ``world_from_camera @ point_in_camera``.
 """
 
-from greenhouse_gym.geometry.arrays import Array, Rotation, Vector
+from greenhouse_gym.geometry.arrays import Array, Rotation, Vector, numbers_of
 from greenhouse_gym.geometry.distances import (
     bounding_balls,
     closest_on_segments,
@@ -63,6 +63,7 @@ __all__ = [
     "invert",
     "is_pose",
     "is_rotation",
+    "numbers_of",
     "pose",
     "quaternions_from",
     "rotation_about",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import reprlib
 from dataclasses import dataclass
 from typing import Annotated, Any, TypeAlias
 
@@ -13,6 +14,15 @@ from greenhouse_gym.errors import InvalidValueError
 Array: TypeAlias = npt.NDArray[np.float64]
 
 
+def numbers_of(value: Any) -> Array:
+    """Return a float64 copy of an array of real numbers, or of nested sequences; an empty array of anything else."""
+    try:
+        array = np.array(value)
+        return array.astype(np.float64, copy=False) if array.dtype.kind in "iuf" else np.empty(0)
+    except (TypeError, ValueError, OverflowError):  # of different lengths, or not of numbers
+        return np.empty(0)
+
+
 @dataclass(frozen=True)
 class JsonArray:
     """Annotation by which pydantic reads a fixed-shape float array from nested lists and writes it as such."""
@@ -21,10 +31,9 @@ class JsonArray:
 
     def parse(self, value: Any) -> Array:
         """Convert nested sequences to a read-only float64 array of this shape with finite entries."""
-        try:
-            array = np.array(value, dtype=np.float64)
-        except (TypeError, ValueError) as error:
-            raise InvalidValueError(f"expected {self.shape} numbers, got {value!r}") from error
+        array = numbers_of(value)
+        if not array.size:
+            raise InvalidValueError(f"expected {self.shape} numbers, got {reprlib.repr(value)}")
         if array.shape != self.shape:
             raise InvalidValueError(f"expected an array of shape {self.shape}, got shape {array.shape}")
         if not np.isfinite(array).all():

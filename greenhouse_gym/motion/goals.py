@@ -210,7 +210,7 @@ def search_goals(
 
     The search ends after ``budget`` random configurations. ``checker`` confirms what kernels find free.
     """
-    check_whole("count", count, 1)
+    check_whole("count", count, 1, budget)
     if not (is_number(threshold) and threshold > 0 and is_number(min_difference) and min_difference >= 0):
         raise InvalidValueError(
             f"expected threshold > 0 and min_difference >= 0, got {threshold!r} and {min_difference!r}"

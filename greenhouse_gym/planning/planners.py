@@ -153,6 +153,8 @@ class _Planners(Mapping[str, PlannerInfo]):
         return dict(sorted({**of_ompl, **self.registered}.items()))
 
     def __getitem__(self, name: str) -> PlannerInfo:
+        if not isinstance(name, str):
+            raise UnknownNameError("planner", name, PAPER_PLANNERS)
         if name in self.registered:
             return self.registered[name]
         if name == _COMPILED.name and find_spec("ompl") is not None:

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.errors import InvalidValueError, check_whole, is_number, require_choice, require_seed
-from greenhouse_gym.geometry import Array
+from greenhouse_gym.geometry import Array, numbers_of
 from greenhouse_gym.motion.caution import with_margin, with_unexplained_cells
 from greenhouse_gym.motion.clearance import path_clearance
 from greenhouse_gym.motion.collision import (
@@ -119,7 +119,7 @@ def plan(
     """
     if not isinstance(scene, Scene):
         raise InvalidValueError(f"scene must be a Scene, got {scene!r}")
-    if isinstance(pairs, str) or not isinstance(pairs, Collection):
+    if isinstance(pairs, str | np.ndarray) or not isinstance(pairs, Collection):
         raise InvalidValueError(f"pairs must be some of {', '.join(COLLISION_PAIRS)}, got {pairs!r}")
     seed = require_seed(seed)
     if isinstance(leaves, str):
@@ -325,10 +325,7 @@ def _given_goals(goals: Goals | npt.ArrayLike, arm: Robot) -> Array:
 def _configurations(name: str, values: Any, arm: Robot) -> Array:
     """Return configurations (k, joints) of an arm after checking their shape and limits."""
     joints = len(arm.joints)
-    try:
-        array = np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise InvalidValueError(f"{name}: {arm.name} takes {joints} joint angles, got {values!r}") from error
+    array = numbers_of(values)
     if array.ndim != 2 or array.shape[1] != joints:
         raise InvalidValueError(f"{name}: {arm.name} takes {joints} joint angles, got an array of shape {array.shape}")
     outside = ~((array >= arm.lower) & (array <= arm.upper))

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.errors import FileFormatError, InvalidValueError
-from greenhouse_gym.geometry import Array
+from greenhouse_gym.geometry import Array, numbers_of
 
 DEFAULT_SPEED, DEFAULT_SLIDE_SPEED = 1.6, 0.4
 """Default speed limits, rad/s and m/s; a joint action of 1 requests them."""
@@ -36,7 +36,7 @@ def joint_limits(model: mujoco.MjModel, start: Array) -> tuple[Array, Array]:
 def motion_limits(path: Path, model: mujoco.MjModel, name: str, given: npt.ArrayLike | None, default: Array) -> Array:
     """Return limits (n,): the given ones, else those in the file, else the default."""
     if given is not None:
-        limits = np.array(given, dtype=np.float64)
+        limits = numbers_of(given)
         if limits.shape != (model.njnt,) or not (limits > 0).all():
             raise InvalidValueError(f"{name} must be {model.njnt} positive numbers, got {given!r}")
         return limits

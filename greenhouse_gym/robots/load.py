@@ -25,7 +25,7 @@ import numpy.typing as npt
 
 from greenhouse_gym.common.files import resolved
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, UnknownNameError
-from greenhouse_gym.geometry import Array
+from greenhouse_gym.geometry import Array, numbers_of
 from greenhouse_gym.robots.arm_file import fingerprint, loading, read_arm
 from greenhouse_gym.robots.joint_limits import (
     DEFAULT_ACCELERATION,
@@ -222,7 +222,7 @@ def _keys(model: mujoco.MjModel) -> list[str]:
 def _start(path: Path, model: mujoco.MjModel, start: str | npt.ArrayLike | None) -> Array:
     if start is None or isinstance(start, str):
         return np.array(model.key_qpos[model.key(find_name(path, "key frame", start, START_KEYS, _keys(model))).id])
-    q = np.array(start, dtype=np.float64)
+    q = numbers_of(start)
     if q.shape != (model.njnt,) or not np.isfinite(q).all():
         raise InvalidValueError(f"start must be {model.njnt} finite joint positions, got {start!r}")
     return q

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import weakref
 from collections import Counter, OrderedDict
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -71,10 +72,9 @@ class SceneBank(Sequence[Scene]):
         if isinstance(bank, SceneBank):
             return bank
         shipped = shipped_banks()
-        folder = shipped.get(str(bank)) or Path(bank)
-        if not folder.is_dir():
+        folder = resolved(shipped.get(str(bank)) or bank)
+        if not os.path.isdir(folder):  # noqa: PTH112, because `Path.is_dir` raises an error for long names
             raise UnknownNameError("scene bank", str(bank), [*shipped, "(or the path of a bank's folder)"])
-        folder = folder.resolve()
         return _opened(folder, read_bytes(folder / MANIFEST, "bank manifest"))
 
     @classmethod

@@ -134,7 +134,14 @@ def test_import_writes_a_recording_a_report_and_a_picture(tmp_path: Path) -> Non
     report = json.loads((tmp_path / "walk" / "import.json").read_text())
     assert report["good_for_registration"]
     assert report["cameras"]["camera"]["distance"] == pytest.approx(0.6, abs=0.01)
-    assert (tmp_path / "walk" / "import.png").read_bytes().startswith(b"\x89PNG")
+    picture = tmp_path / "walk" / "import.png"
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    picture.unlink()  # as if it had been killed before the picture, which is the last file
+    for code in (0, 1):
+        again = CliRunner().invoke(app, ["import", str(tmp_path / "video"), "--out", str(tmp_path / "walk")])
+        assert again.exit_code == code
+        assert picture.exists()
+        assert json.loads((tmp_path / "walk" / "import.json").read_text()) == report
     every = CliRunner().invoke(app, ["import", str(tmp_path / "video"), "--out", str(tmp_path / "all"), "--step", "0"])
     assert every.exit_code == 0
     assert len(open_recording(tmp_path / "all")) == 12

@@ -26,8 +26,10 @@ NO_IMAGES = {
     "has 36 bytes only": image(step=11),
     "'mono12' are not read; known are rgb8": image(encoding="mono12"),
     "inverse fractions is not read; record 16UC1": compressed("32FC1; compressedDepth png", bytes(20)),
-    "60000x60000 pixels is too large": compressed("png", b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + 2 * b"\0\0\xea\x60"),
-    "compressed image .*, 7 bytes.* cannot be decoded": compressed("rgb8; jpeg compressed bgr8", b"no jpeg"),
+    "60000x60000 pixels of 3 bytes is too large": compressed(
+        "png", b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + 2 * b"\0\0\xea\x60" + b"\b\2IEND\xaeB`\x82"
+    ),
+    "neither a PNG nor a JPEG file .7 bytes": compressed("rgb8; jpeg compressed bgr8", b"no jpeg"),
 }
 
 

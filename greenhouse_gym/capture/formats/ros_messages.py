@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from greenhouse_gym.capture.formats.pairs import Lens, distorted_lens
 from greenhouse_gym.capture.formats.trajectories import nearest_in_time
-from greenhouse_gym.capture.image_files import MAX_PIXELS, PNG_START, declared_size
+from greenhouse_gym.capture.image_files import PNG_START, decode
 from greenhouse_gym.capture.rig import Intrinsics
 from greenhouse_gym.common.extras import needs
 from greenhouse_gym.errors import FileFormatError
@@ -67,11 +67,7 @@ def _decompressed(topic: str, message: Any) -> npt.NDArray[Any]:
         if "32FC1" in message.format:
             raise FileFormatError(topic, "depth compressed as inverse fractions is not read; record 16UC1")
         data = data[data.find(PNG_START) :] if PNG_START in data[:64] else data
-    if (size := declared_size(data)) and size[0] * size[1] > MAX_PIXELS:
-        raise FileFormatError(topic, f"an image of {size[0]}x{size[1]} pixels is too large: at most {MAX_PIXELS}")
-    image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
-    if image is None:
-        raise FileFormatError(topic, f"a compressed image ({message.format!r}, {len(data)} bytes) cannot be decoded")
+    image = decode(f"{topic} ({message.format!r})", data, cv2.IMREAD_UNCHANGED, foreign=True)
     return np.asarray(cv2.cvtColor(image[..., :3], cv2.COLOR_BGR2RGB) if image.ndim == 3 else image)
 
 
