@@ -18,7 +18,7 @@ class DemoSettings:
 
     length: float = 2.0  # m of row
     training_bank: str = "default"
-    training_steps: int = 2_000_000  # about a minute of one core
+    training_steps: int = 2_000_000  # a minute or two of one core
     episodes: int = 100  # per agent
     scene_width: float = 1.6  # m
     followed: int = 16  # plans followed in the true row
