@@ -64,7 +64,7 @@ def import_(
     from greenhouse_gym.capture.inspection import inspect_recording
     from greenhouse_gym.capture.station_selection import choose_stations, select_stations
     from greenhouse_gym.common.files import write_atomically
-    from greenhouse_gym.errors import FileFormatError
+    from greenhouse_gym.errors import FileFormatError, GreenhouseError
     from greenhouse_gym.rendering.picture_files import write_picture
     from greenhouse_gym.reporting.pictures import contact_sheet
 
@@ -85,8 +85,12 @@ def import_(
     content = {"source": str(source), "notes": notes}
     write_atomically(report, json.dumps(content) + "\n")
     (out / INDEX).unlink(missing_ok=True)
-    with progress("stations", len(opened)) as on_progress:
-        write_recording(replace(opened, notes=()), out, lambda i: on_progress(i + 1))
+    try:
+        with progress("stations", len(opened)) as on_progress:
+            write_recording(replace(opened, notes=()), out, lambda i: on_progress(i + 1))
+    except GreenhouseError:
+        report.unlink()  # nothing could be written: the folder may be used again
+        raise
     found = inspect_recording(open_recording(out))
     write_atomically(report, json.dumps({**content, **asdict(found)}, indent=1) + "\n")
     write_picture(contact_sheet(open_recording(out)), picture)
