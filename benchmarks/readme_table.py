@@ -51,8 +51,8 @@ def reached(agent: str) -> str:
     entry = read_entry(ROOT / "benchmarks" / "leaderboard" / f"{agent}.json")
     if not is_current(entry):
         raise SystemExit(f"{agent}.json: played on another bank; run greenhouse-gym submit {agent}")
-    played = entry.evaluation("truth")
-    return percent(played.success_rate, len(played.records))
+    truth = entry.evaluation("truth")
+    return percent(truth.success_rate, len(truth.records))
 
 
 def lesson() -> str:
