@@ -23,14 +23,12 @@ from greenhouse_gym.agents.picking import (
     withdraw,
 )
 from greenhouse_gym.agents.planner_agent import default_margin, default_unknown, safe_commands
+from greenhouse_gym.agents.scanned_stand import ScannedStand
 from greenhouse_gym.agents.sensed_hand import ImaginedHand, SensedHand
-from greenhouse_gym.crops.parts import SpaceBox
 from greenhouse_gym.envs.image_observations import RgbObservation
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.geometry import Array, Sphere, arrays_of, distance_to_nearest, pose
+from greenhouse_gym.geometry import Array, arrays_of, distance_to_nearest
 from greenhouse_gym.motion.arm_spheres import arm_spheres
-from greenhouse_gym.motion.collision import CollisionChecker, planning_model
-from greenhouse_gym.motion.unknown_space import guarded
 from greenhouse_gym.planning import plan
 from greenhouse_gym.rendering.cameras import DepthCamera
 from greenhouse_gym.robots import Robot
@@ -72,7 +70,6 @@ _DROPS = 3  # actions to let go
 _KEPT, _LARGEST = 0.008, 0.1  # metres that turning and withdrawing keep from known fruit and stems; largest radius
 _LIFTS = 6  # actions by which the arm goes back after it has let go
 _ABOVE = 0.02  # metres above the rim of the crate
-_GUARD = 0.005  # metres from which the arm keeps from itself, its cart, the crate and strings
 
 
 class ScanHarvester(NamedAgent):
@@ -125,7 +122,7 @@ class _Harvest:
         self._tries: dict[int, int] = dict.fromkeys(problem.targets, 0)
         self._trail: list[Array] = []
         self._picked = 0
-        self._checker: CollisionChecker | None = None
+        self._stand = ScannedStand(problem, hand)
 
     def run(self) -> Iterator[Action]:
         """Yield the actions, at last without end."""
@@ -146,7 +143,7 @@ class _Harvest:
         hand = self._hand
         hand.working, hand.parting = fruit, False
         for level in _LEVELS if self._tries[fruit] else _LEVELS[:_FIRST]:
-            scene = self._scene(level.around, level.apart, fruit)
+            scene = self._stand.scene(level.around, level.apart, fruit)
             commands = self._commands(scene, fruit, self._robot, _GOALS, level)
             if commands is not None:
                 break
@@ -173,7 +170,7 @@ class _Harvest:
         Both are imagined among the fruit and stems that are known; the choice keeps most away from them, and gets
         worse with every try.
         """
-        hand, scene = self._hand, self._scene(0.0)
+        hand, scene = self._hand, self._stand.scene(0.0)
         others = [tomato for k, tomato in enumerate(scene.tomatoes) if k != fruit]
         near = arrays_of([*(tomato.shape for tomato in others), *scene.stems])
         arm = arm_spheres(self._robot)
@@ -192,19 +189,16 @@ class _Harvest:
                     (gaps - arm.radius[arm.moving]).min(axis=1),
                     distance_to_nearest(held, near, _KEPT + _LARGEST) - hand.radius(fruit),
                 )
-                stopped = not all(self._guard().is_free(self._robot_clip(q)) for q in path)
+                stopped = not all(self._stand.is_free(q) for q in path)
                 costs.append((float(np.maximum(_KEPT - gap, 0.0).sum()) + stopped, len(costs), axis, direction))
         costs.sort(key=lambda cost: cost[:2])
         *_, axis, direction = costs[min(self._tries[fruit], len(costs) - 1)]
         return axis, direction
 
-    def _robot_clip(self, configuration: Array) -> Array:
-        return np.clip(configuration, self._robot.lower, self._robot.upper)
-
     def _deliver(self, fruit: int) -> Iterator[Action]:
         """Bring a fruit back the way the arm came, and from there to the crate."""
         hand = self._hand
-        loaded, scene = with_fruit(self._robot, hand.radius(fruit)), self._scene(0.0)
+        loaded, scene = with_fruit(self._robot, hand.radius(fruit)), self._stand.scene(0.0)
         level = _Level("rigid", 0.0, 0.0, False)
         yield from self._retrace(True)
         while hand.holds:
@@ -224,7 +218,7 @@ class _Harvest:
 
     def _retrace(self, vacuum: bool, steps: int | None = None) -> Iterator[Action]:
         """Go back the way the arm came until it is clear of the plants, or for a number of actions."""
-        hand, plants = self._hand, self._scene(0.0).arrays
+        hand, plants = self._hand, self._stand.scene(0.0).arrays
         if not self._trail:
             return
         apart = np.abs(np.array(self._trail) - hand.command).max(axis=1)
@@ -269,28 +263,9 @@ class _Harvest:
         hand = self._hand
         for twist in twists:
             change = hand.towards(twist)
-            if not self._guard().is_free(self._robot_clip(hand.command + change)):
+            if not self._stand.is_free(hand.command + change):
                 return
             yield self._action(change, True)
-
-    def _guard(self) -> CollisionChecker:
-        if self._checker is None:
-            scene = self._problem.scene
-            strings = tuple(stem for stem in scene.stems if stem.kind == "string")
-            known = scene.model_copy(
-                update={"stems": strings, "clutter": self._crate(0.0), "targets": (), "truth": None, "occupancy": None}
-            )
-            compiled = guarded(known, self._robot, self._problem.start, np.inf)
-            model = planning_model(compiled, 0, _GUARD, pairs=("stems", "clutter", "fixture", "self"))
-            self._checker = CollisionChecker(model)
-        return self._checker
-
-    def _crate(self, around: float) -> tuple[SpaceBox, ...]:
-        """Return the walls of the crate, thickened by some metres."""
-        crate, turn = self._problem.crate, self._hand.turn
-        assert crate is not None
-        middle = self._hand.crate - [0.0, 0.0, 2 * crate.half_extents[2]]
-        return tuple(SpaceBox(turn @ at + middle, half + around, turn) for at, half in crate.boxes)
 
     def _follow(self, commands: list[Array], vacuum: bool) -> Iterator[Action]:
         for command in commands:
@@ -302,25 +277,3 @@ class _Harvest:
     def _action(self, change: Array, vacuum: bool) -> Action:
         arm = np.clip(change / self._problem.joint_steps, -1, 1)
         return np.append(arm, 1.0 if vacuum else -1.0).astype(np.float32)
-
-    def _scene(self, around: float, apart: float = 0.0, target: int = -1) -> Scene:
-        """Return the scan with its fruit where they are now, and the crate.
-
-        Args:
-            around: Metres by which the crate is thickened.
-            apart: Metres by which fruit except the target, and stems, are thickened.
-            target: The target.
-        """
-        scene, fruit = self._problem.scene, self._hand.fruit
-        tomatoes = []
-        for k, tomato in enumerate(scene.tomatoes):
-            # one that is off keeps its number, and is out of the way
-            center = fruit.centers[k] if fruit.hanging[k] else np.array([0.0, 0.0, 9.0 + k])
-            tomato = tomato.transformed(pose(translation=center - tomato.center))
-            if apart and k != target:
-                tomato = replace(tomato, shape=Sphere(center, tomato.radius + apart))
-            tomatoes.append(tomato)
-        stems = tuple(replace(stem, radius=stem.radius + apart) for stem in scene.stems) if apart else scene.stems
-        clutter = (*scene.clutter, *self._crate(around))
-        parts = {"tomatoes": tuple(tomatoes), "stems": stems, "clutter": clutter, "targets": (), "truth": None}
-        return scene.model_copy(update=parts)

@@ -28,7 +28,7 @@ def demo(
     seed: Annotated[int, typer.Option(min=0, help="Seed of all stages.")] = 1,
     quick: Annotated[bool, typer.Option("--quick", help="Run a much smaller demo, as the tests do.")] = False,
 ) -> None:
-    """Simulate a row, reconstruct it, build a bank, plan, train, compare; about five minutes on two cores."""
+    """Simulate a row, reconstruct it, build a bank, plan, train, compare; about four minutes on two cores."""
     run_demo(out, seed, QUICK if quick else DemoSettings())
 
 
