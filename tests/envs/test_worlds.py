@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from greenhouse_gym.envs import GreenhouseEnv, GreenhouseVectorEnv, worlds
+from greenhouse_gym.envs.world import capacity_of
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Box, pose
 from greenhouse_gym.robots import get_robot
@@ -54,7 +55,7 @@ def test_truth_chooses_its_capacity_from_the_bank(bank: SceneBank, tmp_path: Pat
     env = GreenhouseVectorEnv(2, bank=true, physics="truth")
     env.reset(seed=0)
     assert env.simulation.worlds.capacity == 700
-    assert worlds.capacity_of(true, "reconstruction") == worlds.capacity_of(bank, "truth") == 600
+    assert capacity_of(true, "reconstruction") == capacity_of(bank, "truth") == 600
     with pytest.raises(InvalidValueError, match=r"made-up-\d.*no truth.*simulated"):
         GreenhouseVectorEnv(2, bank=bank, physics="truth").reset(seed=0)
 
