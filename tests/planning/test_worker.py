@@ -144,10 +144,10 @@ def test_ctrl_c_reaches_the_caller_and_the_next_call_works(worker: Worker) -> No
     assert len(worker.call("planners", None, 30.0)) == OF_OMPL
 
 
-def test_without_ompl_the_extra_is_named(worker: Worker, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_ompl_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("greenhouse_gym.planning.worker.find_spec", lambda name: None)
     with pytest.raises(MissingDependencyError, match=r"greenhouse-gym\[plan\]"):
-        worker.call("planners", None, 30.0)
+        Worker().call("planners", None, 30.0)
 
 
 def test_a_dead_process_has_an_error_of_its_own(worker: Worker) -> None:
