@@ -15,8 +15,8 @@ _MAX_HUE_SPREAD = 0.05
 """Largest `SurfaceCloud.leaf_hue_spread` of leaves; rows that the networks were fitted to have 0.01 to 0.04."""
 
 _MAX_NOISE = 0.0026
-"""Largest `SurfaceCloud.noise`, m. Rows that the networks were fitted to have 0.0013 to 0.0017; rows recorded from 0.8 m,
-where the networks work as well, have 0.0017 to 0.0022."""
+"""Largest `SurfaceCloud.noise`, m. Rows that the networks were fitted to have 0.0013 to 0.0017; rows recorded from
+0.8 m, where the networks work as well, have 0.0017 to 0.0022."""
 
 _MIN_DENSITY = 10.0
 """Least `SurfaceCloud.density`; rows that the networks were fitted to have 20 to 24."""
