@@ -23,7 +23,14 @@ from greenhouse_gym.common.own_code import described
 from greenhouse_gym.common.progress import progress as progress_of
 from greenhouse_gym.envs import EnvSettings, make_vec_env
 from greenhouse_gym.envs.choices import make_task
-from greenhouse_gym.errors import InvalidValueError, UnknownKeywordError, check_items, check_whole, require_seed
+from greenhouse_gym.errors import (
+    InvalidValueError,
+    UnknownKeywordError,
+    check_flag,
+    check_items,
+    check_whole,
+    require_seed,
+)
 from greenhouse_gym.evaluation.deadline import Deadline, describe, printable
 from greenhouse_gym.evaluation.journal import RecordJournal
 from greenhouse_gym.evaluation.records import Evaluation, Evaluations, Record
@@ -85,7 +92,7 @@ def evaluate(
         AgentError: The agent failed before its first valid action; with an executor, in the first episode.
         WorkerLostError: A process of the executor died.
     """
-    num_envs = check_whole("num_envs", num_envs, 1)
+    num_envs, progress = check_whole("num_envs", num_envs, 1), check_flag("progress", progress)
     for name, given, kind in (("executor", executor, Executor), ("journal", journal, RecordJournal)):
         if not isinstance(given, kind | None):
             raise InvalidValueError(f"{name} must be an object of {kind.__name__} or None, got {given!r}")

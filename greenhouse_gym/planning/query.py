@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.errors import InvalidValueError, check_whole, is_number, require_choice, require_seed
+from greenhouse_gym.errors import InvalidValueError, check_flag, check_whole, is_number, require_choice, require_seed
 from greenhouse_gym.geometry import Array, numbers_of
 from greenhouse_gym.motion.caution import with_margin, with_unexplained_cells
 from greenhouse_gym.motion.clearance import path_clearance
@@ -49,6 +49,7 @@ _POOL = 240  # goal configurations, from which those outside unknown space are c
 _FRACTION = 1 / 8  # of the remaining time and checks, for each attempt to avoid unknown space except the last
 _SLACK = 5.0  # seconds: time of a planner that is to be ended by its checks, apart from these
 _SLOWEST = 0.001  # seconds: upper bound of the time for a check, a hundred times the usual
+_MOST_CHECKS = 10**15  # which take years
 _LONGEST = 1e6  # seconds; longer limits are cut to this because they exceed the range of system clocks
 
 GRACE = 5.0
@@ -125,7 +126,8 @@ def plan(
     if isinstance(leaves, str):
         require_choice("leaves", leaves, LEAVES)
     arm, depths = get_robot(robot), depths_of(unknown)
-    if unknown != "free" or unexplained:
+    everywhere = isinstance(unknown, str) and unknown == "free"
+    if check_flag("unexplained", unexplained) or not everywhere:
         occupancy_of(scene)
     _seconds(time_limit, max_checks)  # raises before anything is searched
     origin = _configurations("start", [arm.configuration(start)], arm)[0]
@@ -188,7 +190,7 @@ def plan(
     result = replace(result, clearance=path_clearance(known, target, path, treatment))
     if treatment == "brush":
         result = replace(result, brushed_leaves=len(LeafContacts(known).brushed(path)))
-    if unknown == "free":
+    if everywhere:
         return result
     length = unknown_length(scene, arm, path)
     message = f"the path leads {length:.2f} m through unknown space" if length > 0 else ""
@@ -214,7 +216,8 @@ def plan_with(
     `PlannerQuery`.
     """
     info = PLANNERS[planner]
-    chosen = info.with_settings(settings or {})
+    chosen = info.with_settings({} if settings is None else settings)
+    check_flag("first_solution", first_solution)
     seed = require_seed(seed)
     seconds = _seconds(time_limit, max_checks)
     arm = compiled.robot
@@ -249,7 +252,7 @@ def plan_with(
 def _seconds(time_limit: float | None, max_checks: int | None) -> float:
     """Return the limit on time; without one, a limit that the checks never reach."""
     if max_checks is not None:
-        check_whole("max_checks", max_checks, 1)
+        check_whole("max_checks", max_checks, 1, _MOST_CHECKS)
     if time_limit is None:
         if max_checks is None:
             raise InvalidValueError("time_limit is None: give max_checks, otherwise nothing ends the search")
