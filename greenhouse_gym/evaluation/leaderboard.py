@@ -17,10 +17,11 @@ from greenhouse_gym.common.tables import Table, number
 from greenhouse_gym.crops.crop import PlantMotion
 from greenhouse_gym.envs import Randomization
 from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.evaluation.asking import AskedAgent
 from greenhouse_gym.evaluation.entry import V1, Entry, Protocol, columns_of, follows, is_current, read_entry
 from greenhouse_gym.evaluation.journal import RecordJournal, checksum_of, package_versions
 from greenhouse_gym.evaluation.records import Evaluation, Record
-from greenhouse_gym.evaluation.rollouts import AGENTS_CHOICE, changed_rules, declares_truth, evaluate, shown_rules
+from greenhouse_gym.evaluation.rollouts import AGENTS_CHOICE, changed_rules, evaluate, shown_rules
 from greenhouse_gym.scene import DIFFICULTIES, SceneBank
 
 __all__ = [
@@ -97,9 +98,10 @@ def submit(
     about = fresh.model_dump(include={"agent", "protocol", "bank_sha256", "versions"}) | {
         "sha256": checksum_of(agent, name)
     }
+    asked = AskedAgent.of(agent)
     for track in tracks:
-        changed = changed_rules(agent.name, agent.env_options, _settings(protocol, track))
-        _check_rules(agent.name, shown_rules(changed, declares_truth(agent)))
+        changed = changed_rules(asked.name, asked.env_options, _settings(protocol, track))
+        _check_rules(asked.name, shown_rules(changed, asked.knows_truth))
     for track in tracks:
         journal = RecordJournal(path.with_suffix(f".{track}.jsonl"), {**about, "track": track})
         evaluation = _run(agent, protocol, track, protocol.episodes, num_envs, executor, journal)
@@ -199,7 +201,7 @@ def _run(
         journal=journal,
         **_settings(protocol, track),
     )
-    _check_rules(agent.name, evaluation.rules)
+    _check_rules(evaluation.agent, evaluation.rules)
     return evaluation
 
 

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from bag_writer import MCAP, ROS1, SQLITE, Writer
 from fuzzing import Source, assert_all_end_well, assert_what_is_no_file_does_no_harm
-from mutants import damaged_bytes, damaged_json, damaged_numbers
 from layouts import CameraTrack, as_described, save
+from mutants import damaged_bytes, damaged_json, damaged_numbers
 from robots.test_arm_files import arm_text
 
 from greenhouse_gym.agents.policy import Policy
