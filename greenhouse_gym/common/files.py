@@ -199,20 +199,22 @@ def first_fault(error: ValidationError) -> str:
 
 
 @contextmanager
-def exclusive(folder: str | Path, parts: str = "") -> Iterator[None]:
-    """Lock a folder for this process; it is created if missing.
+def exclusive(folder: str | Path, parts: str = "", only: str = "") -> Iterator[None]:
+    """Lock a folder, or a file in it, for this process; the folder is created if missing.
 
-    The file ``.lock`` in it holds the number of the process and is locked meanwhile; the lock ends with the process,
-    however that ends. Temporary files that a killed process left behind are removed.
+    The file ``.lock``, or ``.NAME.lock``, in it holds the number of the process and is locked meanwhile; the lock ends
+    with the process, however that ends. Temporary files that a killed process left behind are removed.
 
     Args:
         folder: The folder.
         parts: Pattern of the subfolders that belong to it, such as ``"*/*/"``; others may have holders of their own.
+        only: Name of the file to lock; the whole folder if empty.
 
     Raises:
         FileWriteError: The folder cannot be created or written, or another process holds it.
     """
-    path = Path(folder) / ".lock"
+    prefix = f".{only}." if only else "."
+    path = Path(folder) / f"{prefix}lock"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         file = path.open("a+")
@@ -227,12 +229,13 @@ def exclusive(folder: str | Path, parts: str = "") -> Iterator[None]:
         if not same:
             file.seek(0)
             holder = f": {text}" if (text := file.read(200)) else ""
-            raise FileWriteError(folder, OSError(f"another process is at work in this folder{holder}"))
+            what = f"another process is at work {'on this file' if only else 'in this folder'}{holder}"
+            raise FileWriteError(Path(folder) / only, OSError(what))
         try:
             file.truncate(0)
             file.write(f"process {os.getpid()}")
             file.flush()
-            for leftover in (*path.parent.glob(f".*{_TEMPORARY}"), *path.parent.glob(f"{parts}.*{_TEMPORARY}")):
+            for leftover in (*path.parent.glob(f"{prefix}*{_TEMPORARY}"), *path.parent.glob(f"{parts}.*{_TEMPORARY}")):
                 shutil.rmtree(leftover) if leftover.is_dir() else leftover.unlink(missing_ok=True)
             yield
         finally:

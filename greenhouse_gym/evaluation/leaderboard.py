@@ -12,7 +12,7 @@ from typing import Any
 
 from greenhouse_gym.agents import Agent
 from greenhouse_gym.common.executors import workers_of
-from greenhouse_gym.common.files import write_atomically
+from greenhouse_gym.common.files import exclusive, write_atomically
 from greenhouse_gym.common.tables import Table, number
 from greenhouse_gym.crops.crop import PlantMotion
 from greenhouse_gym.envs import Randomization
@@ -80,6 +80,7 @@ def submit(
     Raises:
         InvalidValueError: No track is given, or an unknown one; or the agent's ``env_options`` change the rules.
         FileFormatError: The existing entry is damaged.
+        FileWriteError: Another process writes this entry, or it cannot be written.
     """
     if not tracks or not set(tracks) <= set(TRACKS):
         raise InvalidValueError(f"tracks must be some of {', '.join(TRACKS)}, got {', '.join(tracks) or 'none'}")
@@ -102,17 +103,18 @@ def submit(
     for track in tracks:
         changed = changed_rules(asked.name, asked.env_options, _settings(protocol, track))
         _check_rules(asked.name, shown_rules(changed, asked.knows_truth))
-    for track in tracks:
-        journal = RecordJournal(path.with_suffix(f".{track}.jsonl"), {**about, "track": track})
-        evaluation = _run(agent, protocol, track, protocol.episodes, num_envs, executor, journal)
-        entry = _merged(path, fresh)  # other processes may have added tracks
-        machine = {f"{track}: {name}": value for name, value in _machine(num_envs, executor).items()}
-        added = {
-            "machine": {**entry.machine, **machine},
-            "tracks": {**entry.tracks, track: columns_of(evaluation.records)},
-        }
-        write_atomically(path, entry.model_copy(update=added).model_dump_json() + "\n")
-        journal.remove()
+    with exclusive(path.parent, only=path.name):
+        for track in tracks:
+            journal = RecordJournal(path.with_suffix(f".{track}.jsonl"), {**about, "track": track})
+            evaluation = _run(agent, protocol, track, protocol.episodes, num_envs, executor, journal)
+            entry = _merged(path, fresh)
+            machine = {f"{track}: {name}": value for name, value in _machine(num_envs, executor).items()}
+            added = {
+                "machine": {**entry.machine, **machine},
+                "tracks": {**entry.tracks, track: columns_of(evaluation.records)},
+            }
+            write_atomically(path, entry.model_copy(update=added).model_dump_json() + "\n")
+            journal.remove()
     return path
 
 
