@@ -64,7 +64,8 @@ def test_work_is_given_up_once_no_node_that_is_left_can_do_it(
         lost.append(True)
         with pytest.raises(WorkerLostError, match=r"nodes of the cluster were lost: .* up to 0 cores, got cpus=1"):
             work.result(60)
-        os.kill(int(next(tmp_path.iterdir()).name), 9)
+    (pid,) = (int(path.name) for path in tmp_path.iterdir())
+    wait_until(lambda: not alive(pid))
 
 
 def test_a_canceled_piece_of_work_really_ends(cluster: RayExecutor, tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import platform
 import socket
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import Executor, Future, InvalidStateError, wait
 from contextlib import suppress
 from functools import partial
@@ -74,7 +74,7 @@ class RayExecutor(Executor):
             _join(self.ray, address, workers)
         elif address not in ("local", "auto"):
             raise InvalidValueError(f"this process is in a Ray cluster already: leave it before joining {address}")
-        self._futures: set[Future[Any]] = set()
+        self._futures: set[_RayFuture[Any]] = set()
         self._open, self._closed, self.stranded = True, threading.Event(), ""
         try:
             _check_fits([node for node in self.ray.nodes() if node["Alive"]], cpus, memory)
@@ -95,7 +95,7 @@ class RayExecutor(Executor):
         if not self._open:
             raise RuntimeError("cannot schedule new futures after shutdown")
         reference = self._call.remote(self.message(fn, *args, **kwargs), *self.home())
-        future: Future[Result] = _RayFuture(self.ray, reference)
+        future: _RayFuture[Result] = _RayFuture(self.ray, reference)
         self._futures.add(future)
         future.add_done_callback(self._futures.discard)
         reference.future().add_done_callback(partial(_settle, future))
@@ -143,6 +143,7 @@ class RayExecutor(Executor):
             for future in list(self._futures) if self.stranded else ():
                 with suppress(InvalidStateError):  # it ended meanwhile
                     future.set_exception(WorkerLostError(self.stranded))
+                future.stop()
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
@@ -160,12 +161,16 @@ class _RayFuture(Future[Result]):
     def cancel(self) -> bool:
         canceled = super().cancel()
         if canceled:
-            with suppress(Exception):  # the cluster may be gone
-                self._ray.cancel(self._reference, force=True)
+            self.stop()
         return canceled
 
+    def stop(self) -> None:
+        """Stop the task."""
+        with suppress(Exception):  # the cluster may be gone
+            self._ray.cancel(self._reference, force=True)
 
-def _wait(futures: list[Future[Any]]) -> None:
+
+def _wait(futures: Iterable[Future[Any]]) -> None:
     wait(futures)
 
 
