@@ -180,7 +180,7 @@ def check_agent(agent: object) -> None:
             found[attribute] = getattr(agent, attribute, None)
         except KeyboardInterrupt:
             raise
-        except BaseException:  # in its own code: it is there, and whoever needs it gets the error
+        except BaseException:  # of its own code: the attribute exists; its error is raised where it is needed
             continue
     for attribute, value in found.items():
         if not kinds[attribute](value):

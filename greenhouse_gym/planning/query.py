@@ -49,7 +49,7 @@ _POOL = 240  # goal configurations, from which those outside unknown space are c
 _FRACTION = 1 / 8  # of the remaining time and checks, for each attempt to avoid unknown space except the last
 _SLACK = 5.0  # seconds: time of a planner that is to be ended by its checks, apart from these
 _SLOWEST = 0.001  # seconds: upper bound of the time for a check, a hundred times the usual
-_MOST_CHECKS = 10**15  # which take years
+_MAX_CHECKS = 10**15  # which take years
 _LONGEST = 1e6  # seconds; longer limits are cut to this because they exceed the range of system clocks
 
 GRACE = 5.0
@@ -252,7 +252,7 @@ def plan_with(
 def _seconds(time_limit: float | None, max_checks: int | None) -> float:
     """Return the limit on time; without one, a limit that the checks never reach."""
     if max_checks is not None:
-        check_whole("max_checks", max_checks, 1, _MOST_CHECKS)
+        check_whole("max_checks", max_checks, 1, _MAX_CHECKS)
     if time_limit is None:
         if max_checks is None:
             raise InvalidValueError("time_limit is None: give max_checks, otherwise nothing ends the search")
