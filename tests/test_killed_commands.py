@@ -26,7 +26,7 @@ SAC = (
 WARP = "--bank mini --set num_envs=16 --set rollout_steps=32 --set hidden=[8]"
 COMMANDS: Mapping[str, str] = MappingProxyType(
     {
-        "simulate": "simulate OUT --length 0.2",
+        "simulate": "simulate OUT --length 0.1",
         "import": "import RECORDING --out OUT",
         "reconstruct": "reconstruct RECORDING --out OUT --points 2000 --faces 1500",
         "shapes": "shapes CLOUD --out OUT",
