@@ -1,4 +1,4 @@
-"""What an agent says of itself, asked once and with care."""
+"""Answers of an agent to the questions of an evaluation, which asks each once."""
 
 from __future__ import annotations
 
