@@ -34,7 +34,7 @@ from greenhouse_gym.robots.kinematics import tool_chain, tool_state
 MAX_REPLACEMENTS = 3
 """Maximum number of timed-out agents that are replaced by a copy; each may keep a thread busy."""
 
-_GRACE = 10.0  # seconds beyond twice the time limit until a process that no longer answers is ended
+_GRACE = 10.0  # seconds beyond twice the time limit until a process that no longer answers is ended; or for a copy
 
 
 class EpisodeResult(NamedTuple):
@@ -118,6 +118,7 @@ class EpisodeRunner:
         self._space = env.simulation.action_space
         self._shared = asked.acts_on_many
         self._memory = MemoryLimit(1 / max(1, workers))
+        self._copying = None if timeout is None else max(timeout, _GRACE)
         self._limited = partial(Deadline, timeout, self._memory)
         if timeout is not None and workers:
             self._limited = partial(self._limited, watchdog=Watchdog(2 * timeout + _GRACE))
@@ -126,12 +127,12 @@ class EpisodeRunner:
         self._fresh: Agent | None = None  # copied after a timeout; an agent in use or hanging must not be
         if env.num_envs > 1 and not self._shared:
             self._fresh = agent
-            self._players = [_Player(_copy(asked.name, agent), self._limited()) for _ in self._players]
+            self._players = [_Player(self._copy(agent), self._limited()) for _ in self._players]
         elif timeout is not None:
             with suppress(InvalidValueError):
-                self._fresh = _copy(asked.name, agent)
+                self._fresh = self._copy(agent)
         self._proven = proven
-        parts = self._limited()
+        parts, self._spent = self._limited(), 0.0
         for part in (self._simulation.observe, self._simulation.action_rule):
             if isinstance(part, OwnPart):
                 part.run = partial(self._run_part, parts)
@@ -164,9 +165,11 @@ class EpisodeRunner:
                     continue
                 return
             _, rewards, terminated, truncated, _ = env.step(actions)
+            spent, self._spent = self._spent / len(playing), 0.0
             for i in playing:
                 run = runs[i]
                 assert run is not None
+                run.action_time += spent
                 run.total_reward += float(rewards[i])
                 run.joints.append(self._simulation.joints[i].copy())
                 if terminated[i] or truncated[i]:
@@ -195,7 +198,7 @@ class EpisodeRunner:
         if not player.deadline.expired or self._fresh is None or self._replaced == MAX_REPLACEMENTS:
             return player
         self._replaced += 1
-        other = _Player(_copy(self._asked.name, self._fresh), self._limited())
+        other = _Player(self._copy(self._fresh), self._limited())
         self._players = [other if each is player else each for each in self._players]
         return other
 
@@ -240,13 +243,25 @@ class EpisodeRunner:
             self._proven = True
         run.action_time += time.perf_counter() - began
 
+    def _copy(self, agent: Agent) -> Agent:
+        try:
+            return Deadline(self._copying).call(copy.deepcopy, agent)
+        except Exception as error:
+            raise InvalidValueError(
+                f"agent {self._asked.name!r} cannot be copied for each simulation ({describe(error)}); "
+                "give it a method act_many(observations), or use num_envs=1"
+            ) from error
+
     def _run_part(self, deadline: Deadline, function: Callable[..., Any], *arguments: Any) -> Any:
-        """Run the agent's own observation or action, without which no episode can go on."""
+        """Run the agent's own observation or action, without which no episode can go on, at the expense of its time."""
+        began = time.perf_counter()
         try:
             return deadline.call(function, *arguments)
         except Exception as error:
             what = "its own observation or action failed"
             raise AgentError(f"agent {self._asked.name!r}: {what}: {describe(error)}") from error
+        finally:
+            self._spent += time.perf_counter() - began
 
     def _fail(self, run: _Run, error: Exception) -> None:
         run.failure = describe(error)
@@ -300,13 +315,3 @@ def _status(player: _Player) -> str:
         return printable(player.deadline.call(lambda: str(getattr(player.agent, "status", ""))))
     except Exception:
         return ""
-
-
-def _copy(name: str, agent: Agent) -> Agent:
-    try:
-        return Deadline().call(copy.deepcopy, agent)
-    except Exception as error:
-        raise InvalidValueError(
-            f"agent {name!r} cannot be copied for each simulation ({describe(error)}); "
-            "give it a method act_many(observations), or use num_envs=1"
-        ) from error

@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from threading import active_count
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -34,6 +35,7 @@ from greenhouse_gym.evaluation import (
     leaderboard,
     retrace,
     rollouts,
+    runner,
 )
 from greenhouse_gym.evaluation.entry import columns_of
 from greenhouse_gym.evaluation.journal import RecordJournal
@@ -237,6 +239,20 @@ def test_an_agents_own_observation_or_action_ends_no_comparison(bank: SceneBank,
     lost, still = compare([failing, StillAgent()], episodes=1, bank=bank, step_limit=2, timeout=0.2)
     assert re.search(f"its own observation or action failed: .*{problem}", lost.error)
     assert [record.failure for record in still.records] == [""]
+
+
+def test_work_in_an_agents_own_observation_counts_as_its_time(bank: SceneBank, monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = [0.0]
+
+    def slow() -> np.ndarray:
+        clock[0] += 1.0
+        return np.zeros((1, 1), np.float32)
+
+    monkeypatch.setattr(runner, "time", SimpleNamespace(perf_counter=lambda: clock[0]))
+    agent = StillAgent()
+    agent.env_options = {"observation": OwnPart(slow, 1)}
+    (record,) = evaluate(agent, episodes=1, bank=bank, step_limit=4).records
+    assert record.action_time >= 1.0
 
 
 class Name(str):
