@@ -255,6 +255,19 @@ def test_work_in_an_agents_own_observation_counts_as_its_time(bank: SceneBank, m
     assert record.action_time >= 1.0
 
 
+class Inimitable(StillAgent):
+    """Is never done being copied."""
+
+    def __deepcopy__(self, memo: Any) -> Any:
+        endless()
+
+
+def test_a_copy_that_never_ends_is_given_up(bank: SceneBank, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(runner, "_GRACE", 0.1)
+    with pytest.raises(InvalidValueError, match=r"cannot be copied .*timed out after 0\.1 s"):
+        evaluate(Inimitable(), episodes=2, bank=bank, num_envs=2, timeout=0.1, step_limit=1)
+
+
 class Name(str):
     __slots__ = ()
 
