@@ -112,10 +112,6 @@ def msh() -> bytes:
     return np.array([4, 0, 0, 4], "<i4").tobytes() + CORNERS.tobytes() + FACES.tobytes()
 
 
-def field() -> bytes:
-    return np.array([4, 4], "<i4").tobytes() + np.linspace(0, 1, 16, dtype="<f4").tobytes()
-
-
 def png() -> bytes:
     return cv2.imencode(".png", np.arange(192, dtype=np.uint8).reshape(8, 8, 3))[1].tobytes()
 
@@ -134,7 +130,6 @@ def asset(name: str, content: bytes, kind: str, geom: str) -> Source:
 
 MESH = '<geom type="mesh" mesh="m" mass="1" contype="0" conaffinity="0"/>'
 TEXTURE = '<geom type="box" size="0.01 0.01 0.01" material="t"/>|<material name="t" texture="m"/>'
-FIELD = '<geom type="hfield" hfield="m" contype="0" conaffinity="0"/>'
 
 
 def policy(damaged: str) -> Source:
@@ -206,7 +201,6 @@ SOURCES: Mapping[str, Source] = MappingProxyType(
         "arm's OBJ": asset("m.obj", BALL.encode(), "mesh", MESH),
         "arm's MSH": asset("m.msh", msh(), "mesh", MESH),
         "arm's texture": asset("m.png", png(), 'texture type="2d"', TEXTURE),
-        "arm's height field": asset("m.bin", field(), 'hfield size="1 1 1 1"', FIELD),
         "rig file": text_file("rig.yaml", RIG, load_mounting),
         "arm": text_file("arm.xml", arm_text, load_robot, 0.1),
         "shipped arm": text_file("arm.xml", ROBOTS["ur5e"].read_text, load_robot, 0.1),
