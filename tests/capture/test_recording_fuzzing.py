@@ -146,7 +146,7 @@ def policy(damaged: str) -> Source:
 
     def use(path: Path) -> None:
         description = path.with_suffix(".json")
-        if damaged == "safetensors":
+        if damaged == "safetensors" and path.is_file():
             digest = hashlib.sha256(path.read_bytes()).hexdigest()
             description.write_text(json.dumps(json.loads(description.read_text()) | {"weights_sha256": digest}))
         loaded = Policy.load(path)
