@@ -80,7 +80,7 @@ def submit(
     Raises:
         InvalidValueError: No track is given, or an unknown one; or the agent's ``env_options`` change the rules.
         FileFormatError: The existing entry is damaged.
-        FileWriteError: Another process writes this entry, or it cannot be written.
+        FileWriteError: Another process runs such a track, or a file cannot be written.
     """
     if not tracks or not set(tracks) <= set(TRACKS):
         raise InvalidValueError(f"tracks must be some of {', '.join(TRACKS)}, got {', '.join(tracks) or 'none'}")
@@ -103,17 +103,19 @@ def submit(
     for track in tracks:
         changed = changed_rules(asked.name, asked.env_options, _settings(protocol, track))
         _check_rules(asked.name, shown_rules(changed, asked.knows_truth))
-    with exclusive(path.parent, only=path.name):
-        for track in tracks:
-            journal = RecordJournal(path.with_suffix(f".{track}.jsonl"), {**about, "track": track})
+    for track in tracks:
+        records = path.with_suffix(f".{track}.jsonl")
+        with exclusive(path.parent, only=records.name):
+            journal = RecordJournal(records, {**about, "track": track})
             evaluation = _run(agent, protocol, track, protocol.episodes, num_envs, executor, journal)
-            entry = _merged(path, fresh)
             machine = {f"{track}: {name}": value for name, value in _machine(num_envs, executor).items()}
-            added = {
-                "machine": {**entry.machine, **machine},
-                "tracks": {**entry.tracks, track: columns_of(evaluation.records)},
-            }
-            write_atomically(path, entry.model_copy(update=added).model_dump_json() + "\n")
+            with exclusive(path.parent, only=path.name, wait=True):
+                entry = _merged(path, fresh)  # other processes may have added tracks
+                added = {
+                    "machine": {**entry.machine, **machine},
+                    "tracks": {**entry.tracks, track: columns_of(evaluation.records)},
+                }
+                write_atomically(path, entry.model_copy(update=added).model_dump_json() + "\n")
             journal.remove()
     return path
 

@@ -305,10 +305,12 @@ def test_what_is_no_agent_is_refused_before_any_agent_runs(monkeypatch: pytest.M
         compare([StillAgent(), object()])  # type: ignore[list-item]
 
 
-def test_one_process_at_a_time_writes_an_entry(tmp_path: Path) -> None:
+def test_one_process_at_a_time_runs_a_track(tmp_path: Path) -> None:
     with (
-        exclusive(tmp_path, only="still.trial.json"),
-        pytest.raises(FileWriteError, match=r"still\.trial\.json: .*another process is at work on this file"),
+        exclusive(tmp_path, only="still.trial.reconstruction.jsonl"),
+        pytest.raises(
+            FileWriteError, match=r"still\.trial\.reconstruction\.jsonl: .*another process is at work on this file"
+        ),
     ):
         submit(StillAgent(), "still", tmp_path, ["reconstruction"], SHORT)
 
