@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import partial
 from itertools import islice, pairwise
-from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -108,7 +107,7 @@ class WatchfulAgent(NamedAgent):
         image: tuple[int, int] = IMAGE,
         noisy: bool = False,
     ) -> None:
-        if not (isinstance(depth, Real) and depth >= 0):
+        if not (isinstance(depth, int | float | np.number) and depth >= 0):
             raise InvalidValueError(f"depth must be 0 m or more, got {depth!r}")
         size = check_items("image", image, "a width and a height, pixels")
         if len(size) != 2:
