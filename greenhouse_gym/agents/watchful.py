@@ -107,7 +107,7 @@ class WatchfulAgent(NamedAgent):
         image: tuple[int, int] = IMAGE,
         noisy: bool = False,
     ) -> None:
-        if not (isinstance(depth, int | float | np.number) and depth >= 0):
+        if not (isinstance(depth, int | float | np.floating) and depth >= 0):
             raise InvalidValueError(f"depth must be 0 m or more, got {depth!r}")
         size = check_items("image", image, "a width and a height, pixels")
         if len(size) != 2:
