@@ -11,8 +11,8 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from greenhouse_gym.envs.actions import max_command_error
-from greenhouse_gym.envs.clearance_rays import NUM_CLEARANCES
 from greenhouse_gym.envs.state import ACTION_STEP, Float32, State, lengths
+from greenhouse_gym.envs.surroundings import NUM_CLEARANCES, NUM_NODES
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.distance_field import MAX_DISTANCE
 from greenhouse_gym.robots import Robot
@@ -89,7 +89,11 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
             lambda r: (np.zeros(2), np.array([MAX_PATH_LENGTH, 1.0])),
         ),
         "clearance_rays": Feature(
-            lambda s: s.clearance_rays, lambda r: _between(MIN_CLEARANCE, MAX_DISTANCE, NUM_CLEARANCES)
+            lambda s: s.surroundings[:, :NUM_CLEARANCES],
+            lambda r: _between(MIN_CLEARANCE, MAX_DISTANCE, NUM_CLEARANCES),
+        ),
+        "distance_grid": Feature(
+            lambda s: s.surroundings[:, NUM_CLEARANCES:], lambda r: _between(MIN_CLEARANCE, MAX_DISTANCE, NUM_NODES)
         ),
     }
 )

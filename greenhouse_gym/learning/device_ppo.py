@@ -69,6 +69,7 @@ def train_ppo_on_device(
         raise InvalidValueError(f"{out} holds a training, which would be lost: choose another folder")
     batch = settings.num_envs * settings.rollout_steps
     check_whole("minibatches", settings.minibatches, 1, batch)
+    torch.set_float32_matmul_precision("high")  # on a GPU, products in TF32, which take a third of the time
     training = DevicePpo(settings)
     write_atomically(out / "settings.json", json.dumps(asdict(settings), indent=1) + "\n")
     rows: list[dict[str, float]] = []
@@ -120,8 +121,9 @@ class DevicePpo:
         self.env = WarpVectorEnv(
             settings.num_envs,
             EnvSettings(
-                rows, settings.split, settings.robot, action=settings.action, difficulty=settings.difficulty,
-                reward=DenseReward(collision=settings.collision), scene=settings.scene, target=settings.target,
+                rows, settings.split, settings.robot, observation=settings.observation, action=settings.action,
+                difficulty=settings.difficulty, reward=DenseReward(collision=settings.collision),
+                scene=settings.scene, target=settings.target,
             ),
             device=settings.device, arrays="torch",
         )  # fmt: skip

@@ -8,8 +8,8 @@ import pytest
 
 from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.envs import GreenhouseEnv
-from greenhouse_gym.envs.clearance_rays import AZIMUTHS, ELEVATIONS, FAR, NEAR, NUM_CLEARANCES
 from greenhouse_gym.envs.state import State
+from greenhouse_gym.envs.surroundings import AZIMUTHS, ELEVATIONS, FAR, NEAR, NUM_CLEARANCES, POINTS
 from greenhouse_gym.geometry import Sphere
 from greenhouse_gym.motion.distance_field import MAX_DISTANCE
 from greenhouse_gym.scene import Provenance, Scene, SceneBank, Target
@@ -52,14 +52,14 @@ def test_it_begins_as_the_state_does(bank: SceneBank) -> None:
     np.testing.assert_array_equal(rays[: len(state)], state)
 
 
-@pytest.mark.parametrize(("asks", "numbers"), [(True, NUM_CLEARANCES), (False, 0)])
+@pytest.mark.parametrize(("asks", "numbers"), [(True, len(POINTS)), (False, 0)])
 def test_the_room_is_looked_at_where_it_is_asked_for(asks: bool, numbers: int) -> None:
     class Wide:
-        space = gymnasium.spaces.Box(0.0, 100.0, (1,), dtype=np.float32)
-        requires_clearance_rays = asks
+        space = gymnasium.spaces.Box(0.0, 1000.0, (1,), dtype=np.float32)
+        requires_surroundings = asks
 
         def __call__(self, state: State) -> np.ndarray:
-            return np.full((len(state.joints), 1), state.clearance_rays.shape[1], dtype=np.float32)
+            return np.full((len(state.joints), 1), state.surroundings.shape[1], dtype=np.float32)
 
     env = GreenhouseEnv(bank="mini", observation=Wide())
     assert env.reset(seed=0)[0].tolist() == [numbers]
