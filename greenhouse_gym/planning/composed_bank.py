@@ -17,7 +17,7 @@ from greenhouse_gym.planning.rated_banks import load_rated, new_folder, with_sou
 from greenhouse_gym.robots import Robot, get_robot
 from greenhouse_gym.scene import Scene, SceneBank, compile_scene
 from greenhouse_gym.scene.bank import write_bank
-from greenhouse_gym.scene.composition import composed_scene, plants_of
+from greenhouse_gym.scene.composition import Plant, composed_scene, plants_of
 from greenhouse_gym.scene.manifest import SceneEntry, Split, make_manifest
 
 SPLIT: Split = "train"
@@ -59,14 +59,16 @@ class ComposedBank(SceneBank):
         self._source, self._robot = SceneBank.open(source), get_robot(robot)
         self._seed, self._targets = require_seed(seed), check_whole("targets", targets, 1)
         count = check_whole("count", count, 1)
-        donors: dict[tuple[str | None, str | None], list[str]] = {}
+        donors: dict[tuple[str | None, str | None], list[list[Plant]]] = {}
+        self._bases: list[str] = []
         for entry in self._source.manifest.scenes:
-            if entry.split == SPLIT and plants_of(self._source.scene(entry.name)):
-                donors.setdefault((entry.source, entry.style), []).append(entry.name)
+            if entry.split == SPLIT and (plants := plants_of(self._source.scene(entry.name))):
+                donors.setdefault((entry.source, entry.style), []).append(plants)
+                self._bases.append(entry.name)
         if not donors:
             raise InvalidValueError(f"bank {self._source.path} has no training scene with a complete plant")
         self._donors = donors
-        self._bases = sorted(name for names in donors.values() for name in names)
+        self._bases.sort()
         self._largest = max(self._source.scene(name).count for name in self._bases)
         name = f"{self._source.manifest.name}-composed"
         entries = (f"{name}-{self._seed}-{i:06}" for i in range(count))
@@ -120,10 +122,11 @@ class ComposedBank(SceneBank):
         rng = np.random.default_rng([self._seed, int(entry.name.rpartition("-")[2])])
         for _ in range(_ATTEMPTS):
             base = self._source.scene(self._bases[int(rng.integers(len(self._bases)))])
-            names = self._donors[base.provenance.source, base.provenance.style]
+            donors = self._donors[base.provenance.source, base.provenance.style]
 
-            def draw(names: list[str] = names) -> Scene:
-                return self._source.scene(names[int(rng.integers(len(names)))])
+            def draw(donors: list[list[Plant]] = donors) -> Plant:
+                plants = donors[int(rng.integers(len(donors)))]
+                return plants[int(rng.integers(len(plants)))]
 
             scene = composed_scene(base, draw, rng, entry.name)
             if not scene.tomatoes or scene.count > self._largest or not _starts_free(scene, self._robot):
