@@ -5,9 +5,9 @@ python -m benchmarks.agents.cells runs/lesson_lengths/*.json --kinds alone
 python -m benchmarks.agents.cells runs/*.json --kinds alone --split validation --cells "helios, easy" "helios, medium"
 
 Without arguments, measures all shipped policies. Rows as scanned, 500 episodes a cell with seeds from 20,000, from the
-start `ready`. Policies are chosen on validation rows, which are of Helios only. Alone, policies on most observations
-play on the Warp kernels. A finished cell is not measured again. Takes seconds for a policy on the kernels, and four
-minutes for one behind the shield.
+start `ready`. Policies are chosen on validation rows, which are of Helios only. Alone, policies on the observation
+`state` play these episodes on the Warp kernels. A finished cell is not measured again. Takes seconds for a policy on
+the kernels, and four minutes for one behind the shield.
 """
 
 from __future__ import annotations
@@ -26,7 +26,6 @@ from greenhouse_gym.agents import PolicyAgent, ShieldedAgent
 from greenhouse_gym.agents.agent import Agent
 from greenhouse_gym.agents.policy_agent import shipped_policies
 from greenhouse_gym.envs import make_vec
-from greenhouse_gym.envs.warp.simulation import OBSERVATIONS
 from greenhouse_gym.evaluation import evaluate
 from greenhouse_gym.scene import DIFFICULTIES, SceneBank
 
@@ -42,9 +41,6 @@ CELLS = {
 
 SEED = 20_000
 """Seed of the first episode."""
-
-ON_KERNELS = {*OBSERVATIONS} - {"goal"}
-"""Observations of policies that play on the Warp kernels."""
 
 RESULT = RESULTS / "cells.json"
 
@@ -77,7 +73,7 @@ def checksum(policy: str) -> str:
 
 def outcomes_in(agent: Agent, cell: str, episodes: int, split: str = "test") -> dict[str, Any]:
     """Return the outcomes of an agent in a cell."""
-    if isinstance(agent, PolicyAgent) and agent.env_options["observation"] in ON_KERNELS:
+    if isinstance(agent, PolicyAgent) and agent.env_options["observation"] == "state":
         return on_kernels(agent, cell, episodes, split)
     options = {"num_envs": 16, "threads": 1, **where(cell, split)}
     return outcomes(evaluate(agent, split, episodes, SEED, **options).records)

@@ -35,7 +35,7 @@ class CheckedObservation(ObservationSpec):
         self._boxes = boxes
         for name in (
             "layout", "cameras", "renders_arm", "renders_color", "requires_occupancy",
-            "requires_surroundings", "requires_roadmap", "target_is_obstacle", "has_goals",
+            "requires_roadmap", "target_is_obstacle", "has_goals",
         ):  # fmt: skip
             setattr(self, name, getattr(own, name, getattr(ObservationSpec, name)))
         goals = ("achieved_goal", "desired_goal")

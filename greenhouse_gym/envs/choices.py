@@ -24,7 +24,6 @@ from greenhouse_gym.envs.contacts import CONTACT_GROUPS
 from greenhouse_gym.envs.image_observations import DepthObservation, PointsObservation, RgbObservation
 from greenhouse_gym.envs.observations import (
     PATH_FEATURES,
-    SURROUNDINGS,
     TOOL_FEATURES,
     GoalObservation,
     ObservationChoice,
@@ -42,8 +41,6 @@ from greenhouse_gym.robots import Robot
 OBSERVATIONS: Mapping[str, Callable[[Robot, Task], ObservationSpec]] = {
     "state": StateObservation,
     "state_occupancy": partial(StateObservation, extra=("unknown",)),
-    "clearance_rays": partial(StateObservation, extra=("clearance_rays",)),
-    "surroundings": partial(StateObservation, extra=SURROUNDINGS),
     "roadmap": partial(StateObservation, extra=PATH_FEATURES, without=TOOL_FEATURES),
     "task": TaskObservation,
     "goal": GoalObservation,

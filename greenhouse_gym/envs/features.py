@@ -12,7 +12,6 @@ from gymnasium import spaces
 
 from greenhouse_gym.envs.actions import max_command_error
 from greenhouse_gym.envs.state import ACTION_STEP, Float32, State, lengths
-from greenhouse_gym.envs.surroundings import NUM_CLEARANCES, NUM_NODES
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.distance_field import MAX_DISTANCE
 from greenhouse_gym.robots import Robot
@@ -87,13 +86,6 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
         "path": Feature(
             lambda s: np.stack([s.path_length, s.path_free], axis=1),
             lambda r: (np.zeros(2), np.array([MAX_PATH_LENGTH, 1.0])),
-        ),
-        "clearance_rays": Feature(
-            lambda s: s.surroundings[:, :NUM_CLEARANCES],
-            lambda r: _between(MIN_CLEARANCE, MAX_DISTANCE, NUM_CLEARANCES),
-        ),
-        "distance_grid": Feature(
-            lambda s: s.surroundings[:, NUM_CLEARANCES:], lambda r: _between(MIN_CLEARANCE, MAX_DISTANCE, NUM_NODES)
         ),
     }
 )

@@ -54,7 +54,6 @@ class ObservationSpec(ABC):
         renders_arm: Depth images show the arm.
         renders_color: Color images are rendered as well.
         requires_occupancy: It reads `State.unknown`; every scene must have an occupancy grid.
-        requires_surroundings: It reads `State.surroundings`.
         requires_roadmap: It reads `State.waypoint`, `State.path_length` or `State.path_free`.
         target_is_obstacle: Clearances include the target.
         has_goals: It is an observation of a goal environment.
@@ -66,7 +65,6 @@ class ObservationSpec(ABC):
     renders_arm: bool = False
     renders_color: bool = False
     requires_occupancy: bool = False
-    requires_surroundings: bool = False
     requires_roadmap: bool = False
     target_is_obstacle: bool = False
     has_goals: bool = False
@@ -84,9 +82,6 @@ ARM_FEATURES = ("joint_position", "joint_velocity", "command_error", "tip_positi
 
 TOOL_FEATURES = ("tip_position", "tool_axis", "target_direction", "turn_to_target")
 """Features of the tool's pose and of its turn to the target."""
-
-SURROUNDINGS = ("clearance_rays", "distance_grid")
-"""Features of the space around the target."""
 
 PATH_FEATURES = ("waypoint_offset", "waypoint_direction", "path")
 """Features of the roadmap: offset and direction to the waypoint, and length and freedom of the path."""
@@ -108,7 +103,7 @@ class StateObservation(ObservationSpec):
     Args:
         robot: The arm.
         task: The task.
-        extra: Names of further features to append: "unknown" or those in `SURROUNDINGS` or `PATH_FEATURES`.
+        extra: Names of further features to append: "unknown" or those in `PATH_FEATURES`.
         without: Names of features to leave out, such as `TOOL_FEATURES`.
     """
 
@@ -118,7 +113,6 @@ class StateObservation(ObservationSpec):
         self._vector = FeatureVector(robot, features)
         self.space, self.layout = self._vector.space, self._vector.layout
         self.requires_occupancy = "unknown" in extra
-        self.requires_surroundings = not set(SURROUNDINGS).isdisjoint(extra)
         self.requires_roadmap = not set(PATH_FEATURES).isdisjoint(extra)
 
     def __call__(self, state: State) -> Observed:

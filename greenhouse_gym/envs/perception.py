@@ -15,7 +15,6 @@ from greenhouse_gym.envs.observations import ObservationSpec
 from greenhouse_gym.envs.physics import AnyPhysics
 from greenhouse_gym.envs.setups import Setup
 from greenhouse_gym.envs.state import Bools, Ids, State
-from greenhouse_gym.envs.surroundings import POINTS, surroundings
 from greenhouse_gym.envs.views import TaskCamera, View
 from greenhouse_gym.envs.worlds import Worlds
 from greenhouse_gym.geometry import Array
@@ -66,8 +65,6 @@ class Perception:
         self._radius = np.zeros((count, 1))
         # read-only values of what is not required
         self._nothing, self._unset, self._false = np.empty((count, 0)), np.full(count, np.nan), np.zeros(count, bool)
-        around = len(POINTS) if observe.requires_surroundings else 0
-        self._surroundings = np.empty((count, around), dtype=np.float32)
         self._waypoints = WaypointTracker(count, len(robot.joints)) if requires_roadmap else None
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Perception:
@@ -105,9 +102,6 @@ class Perception:
         self._target[i] = world.tomatoes[target, :3] + disturbance.target
         self._goal[i], self._radius[i] = world.goal(target)
         self._ignored[i] = NO_TOMATO if self._observe.target_is_obstacle else target
-        if self._observe.requires_surroundings:
-            fields = self._worlds.fields
-            self._surroundings[i] = surroundings(fields, world.field, self._ignored[i], self._target[i])
         if self._waypoints is not None:
             center = self._frame[i, :3] + self._axes[i] @ self._target[i]
             goals = GoalSampler(world.roadmaps.compiled, target, start, center)
@@ -167,7 +161,6 @@ class Perception:
             remaining=self._remaining[ids].copy(),
             clearance=distance - self._probe_radii,
             obstacle=direction,
-            surroundings=self._surroundings[ids].copy(),
             waypoint=waypoint,
             path_length=path_length,
             path_free=path_free,

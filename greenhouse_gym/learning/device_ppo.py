@@ -121,9 +121,8 @@ class DevicePpo:
         self.env = WarpVectorEnv(
             settings.num_envs,
             EnvSettings(
-                rows, settings.split, settings.robot, observation=settings.observation, action=settings.action,
-                difficulty=settings.difficulty, reward=DenseReward(collision=settings.collision),
-                scene=settings.scene, target=settings.target,
+                rows, settings.split, settings.robot, action=settings.action, difficulty=settings.difficulty,
+                reward=DenseReward(collision=settings.collision), scene=settings.scene, target=settings.target,
             ),
             device=settings.device, arrays="torch",
         )  # fmt: skip

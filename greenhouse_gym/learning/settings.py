@@ -110,7 +110,6 @@ class DevicePpoSettings:
         split: Split to train on.
         sources: Sources of the rows to train on, such as "own" or "helios"; all if empty.
         robot: The arm.
-        observation: "state", "clearance_rays" or "surroundings".
         action: "joint", "joint_velocity" or "tip_velocity".
         difficulty: Difficulties of the targets.
         scene: Name of the only scene to train on; all of the split if None.
@@ -137,7 +136,6 @@ class DevicePpoSettings:
     split: str = "train"
     sources: tuple[str, ...] = ()
     robot: str = "ur5e"
-    observation: str = "state"
     action: str = "joint"
     difficulty: tuple[str, ...] = ("easy", "medium", "hard")
     scene: str | None = None

@@ -10,11 +10,13 @@ import numpy as np
 
 from greenhouse_gym.crops.crop import PlantMotion
 from greenhouse_gym.crops.parts import Stem, Tomato, is_leaf
+from greenhouse_gym.crops.shape_tables import ShapeParts
 from greenhouse_gym.geometry import Array, Box, Capsule, Sphere, distance_to_capsules, pose, rotation_about
 from greenhouse_gym.geometry.shapes import AnyShape, mirrored, transformed
 from greenhouse_gym.scene.obstacles import Shapes
 from greenhouse_gym.scene.plant_motion import move_plants, nearest_truss
 from greenhouse_gym.scene.scene import Provenance, Scene
+from greenhouse_gym.scene.workspace import REACH, keep_nearest, within_reach
 
 HALF_WIDTH = 0.8
 """Half width of a scene along the row, metres."""
@@ -33,7 +35,9 @@ Plant: TypeAlias = tuple[Array, Shapes]
 """Foot (2,) of a plant's stem, x and y, metres, and its shapes."""
 
 
-def composed_scene(base: Scene, draw: Callable[[], Plant], rng: np.random.Generator, name: str) -> Scene:
+def composed_scene(
+    base: Scene, draw: Callable[[], Plant], rng: np.random.Generator, name: str, max_shapes: int
+) -> Scene:
     """Compose a stand: the placement, fixtures and spacing of a scene, with plants of others.
 
     The row is shifted along y, each plant is mirrored at random, turned and shifted, and all plants move a little.
@@ -44,6 +48,7 @@ def composed_scene(base: Scene, draw: Callable[[], Plant], rng: np.random.Genera
         draw: Function that draws a plant of the same kind.
         rng: Source of all randomness.
         name: Name of the new scene.
+        max_shapes: Maximum number of shapes; the farthest are left out, as from scanned rows.
     """
     feet = np.array([foot for foot, _ in _stands(base)])
     if not len(feet):
@@ -73,10 +78,11 @@ def composed_scene(base: Scene, draw: Callable[[], Plant], rng: np.random.Genera
         ),
     )
     moved = move_plants(whole, PlantMotion(), rng)
+    near = within_reach(ShapeParts(moved.tomatoes, moved.stems, moved.clutter), REACH)
     origin = base.provenance
     provenance = Provenance(row=name, style=origin.style, source=origin.source, protocol=origin.protocol)
-    parts = {part: getattr(moved, part) for part in ("tomatoes", "stems", "clutter")}
-    return Scene(name=name, placement=base.placement, provenance=provenance, **parts)
+    kept = keep_nearest(near, max_shapes)
+    return Scene(name=name, placement=base.placement, provenance=provenance, **kept._asdict())
 
 
 def plants_of(scene: Scene) -> list[Plant]:

@@ -5,15 +5,13 @@ from typing import Any
 
 import warp as wp
 
-from greenhouse_gym.envs.surroundings import NUM_CLEARANCES, NUM_NODES
 from greenhouse_gym.envs.warp.contacts import _COUNTERPARTS, MAX_PARTS
-from greenhouse_gym.envs.warp.fields import interpolation
 from greenhouse_gym.envs.warp.structs import FRESH, IDLE, NO_CONTACT, Half4, structs
-from greenhouse_gym.motion.distance_field import MAX_DISTANCE
+from greenhouse_gym.motion.distance_field import CELL, MAX_DISTANCE, ORIGIN, SHAPE
 
 FEATURES = (
     "joint_position", "joint_velocity", "command_error", "tip_position", "tool_axis", "grasp_offset", "target_position",
-    "target_direction", "turn_to_target", "clearance", "obstacle_direction", "clearance_rays", "distance_grid",
+    "target_direction", "turn_to_target", "clearance", "obstacle_direction",
 )  # fmt: skip
 """Features that the kernel computes."""
 
@@ -33,8 +31,6 @@ class Layout:
     tool_axis: wp.int32
     clearance: wp.int32
     obstacle_direction: wp.int32
-    clearance_rays: wp.int32
-    distance_grid: wp.int32
 
 
 @wp.struct
@@ -80,8 +76,10 @@ def observe_kernel(real: Any) -> wp.Kernel:
     vec3, Arm, Scenes, State = t.vec3, t.Arm, t.Scenes, t.State
     fresh, idle, none = FRESH, IDLE, NO_CONTACT
     counterparts, max_parts = _COUNTERPARTS, MAX_PARTS
-    interpolate, far, capped, shortest = interpolation(real), real(MAX_DISTANCE), real(MAX_DISTANCE - 1e-3), real(1e-6)
-    rays, nodes = NUM_CLEARANCES, NUM_NODES
+    origin, cell, far, capped = vec3(*ORIGIN), real(CELL), real(MAX_DISTANCE), real(MAX_DISTANCE - 1e-3)
+    size_y, size_z, nodes = SHAPE[1], SHAPE[2], SHAPE[0] * SHAPE[1] * SHAPE[2]
+    last_x, last_y, last_z = (real(size - 1 - 1e-5) for size in SHAPE)
+    zero, one, shortest = real(0.0), real(1.0), real(1e-6)
 
     @wp.func
     def put(row: wp.array(dtype=wp.float32), first: wp.int32, value: vec3):
@@ -101,7 +99,6 @@ def observe_kernel(real: Any) -> wp.Kernel:
         arm: Arm,
         scenes: Scenes,
         fields: wp.array(dtype=Half4),
-        around: wp.array2d(dtype=wp.float32),
         s: State,
         rules: Rules,
         layout: Layout,
@@ -190,9 +187,31 @@ def observe_kernel(real: Any) -> wp.Kernel:
         nearest = real(1000.0)
         probe = int(0)
         while probe < arm.probe_link.shape[0]:
-            found = interpolate(fields, scene, (s.probe[w, probe] - base) @ heading, ignored)
-            slope = vec3(found[0], found[1], found[2])
-            value = found[3]
+            position = ((s.probe[w, probe] - base) @ heading - origin) / cell
+            inside = vec3(
+                wp.clamp(position[0], zero, last_x),
+                wp.clamp(position[1], zero, last_y),
+                wp.clamp(position[2], zero, last_z),
+            )
+            x = int(inside[0])
+            y = int(inside[1])
+            z = int(inside[2])
+            fraction = inside - vec3(real(x), real(y), real(z))
+            value = real(0.0)
+            slope = vec3()
+            for dx in range(2):
+                for dy in range(2):
+                    for dz in range(2):
+                        node = fields[scene * nodes + ((x + dx) * size_y + y + dy) * size_z + z + dz]
+                        v = real(wp.where(node[2] == ignored, node[1], node[0]))
+                        wx = wp.where(dx == 1, fraction[0], one - fraction[0])
+                        wy = wp.where(dy == 1, fraction[1], one - fraction[1])
+                        wz = wp.where(dz == 1, fraction[2], one - fraction[2])
+                        value += v * wx * wy * wz
+                        slope += v * vec3(
+                            real(2 * dx - 1) * wy * wz, real(2 * dy - 1) * wx * wz, real(2 * dz - 1) * wx * wy
+                        )
+            value += cell * wp.length(position - inside)
             length = wp.length(slope)
             to_obstacle = vec3()
             if value < capped and length > shortest:
@@ -205,12 +224,6 @@ def observe_kernel(real: Any) -> wp.Kernel:
                 put(observation, layout.obstacle_direction + 3 * probe, to_obstacle)
             probe += 1
         out.clearance[w] = wp.float32(nearest)
-        if layout.clearance_rays >= 0:
-            for k in range(rays):
-                observation[layout.clearance_rays + k] = around[row, k]
-        if layout.distance_grid >= 0:
-            for k in range(nodes):
-                observation[layout.distance_grid + k] = around[row, rays + k]
         column = int(0)
         while column < low.shape[0]:
             observation[column] = wp.clamp(observation[column], low[column], high[column])

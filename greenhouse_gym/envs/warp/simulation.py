@@ -12,7 +12,7 @@ import warp as wp
 from greenhouse_gym.envs.actions import TipVelocity
 from greenhouse_gym.envs.choices import make_action, make_observation, step_limit_of
 from greenhouse_gym.envs.episodes import EpisodeSampler
-from greenhouse_gym.envs.observations import SURROUNDINGS, ObservationSpec
+from greenhouse_gym.envs.observations import ObservationSpec
 from greenhouse_gym.envs.randomization import NO_RANDOMIZATION
 from greenhouse_gym.envs.rewards import DenseReward, SparseReward
 from greenhouse_gym.envs.settings import EnvSettings
@@ -24,7 +24,6 @@ from greenhouse_gym.envs.warp.cells import reach_of
 from greenhouse_gym.envs.warp.contacts import FLOOR, MAX_SHAPES, collide_kernel
 from greenhouse_gym.envs.warp.device_bank import BYTES_PER_SCENE, device_bank
 from greenhouse_gym.envs.warp.dynamics import drive_kernel
-from greenhouse_gym.envs.warp.fields import distances_around, survey_kernel
 from greenhouse_gym.envs.warp.outcome import FEATURES, Layout, Output, Rules, observe_kernel
 from greenhouse_gym.envs.warp.runtime import BLOCK_SIZE, PRECISIONS, check_memory, load_kernels, open_device, struct_of
 from greenhouse_gym.envs.warp.structs import structs
@@ -33,7 +32,7 @@ from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import compile_scene
 
 ACTIONS = ("joint", "joint_velocity", "tip_velocity")
-OBSERVATIONS = ("state", "clearance_rays", "surroundings", "goal")
+OBSERVATIONS = ("state", "goal")
 REWARDS: Mapping[str, DenseReward | SparseReward] = {"dense": DenseReward(), "sparse": SparseReward()}
 TERMS = ("success", "collision", "progress", "time", "effort")
 """Terms of the reward, in the order of their sum."""
@@ -87,12 +86,9 @@ class WarpSimulation:
         self._lanes, part_threads = _LANES[self.device.is_cuda]
         self._drive = drive_kernel(real, len(robot.joints), timing.substeps, moves_tip, unrolled)
         self._collide, self._observe = collide_kernel(real, self._lanes, part_threads), observe_kernel(real)
-        load_kernels((self._drive, self._collide, self._observe, survey_kernel(real)), self.device)
+        load_kernels((self._drive, self._collide, self._observe), self.device)
         self.arm = struct_of(self.structs.Arm, self.arm_arrays, self.device)
         self.bank = device_bank(self.sampler, settings.physics, reach_of(self.arm_arrays), self.device.alias, real)
-        self.around = wp.zeros((1, 1), dtype=wp.float32, device=self.device)
-        if not {name for name, _ in self.observe.layout}.isdisjoint(SURROUNDINGS):
-            self.around = distances_around(self.bank.placements, self.bank.fields, real, self.device)
         self.state = self._allocate(self.structs.State, sizes)
         self.out = self._allocate(Output, sizes)
         self.rules = _rules(settings, self.observe)
@@ -131,8 +127,7 @@ class WarpSimulation:
         yield self._drive, (n,), [arm, bank.placements, self.draws, s, self.action, self.start, resets_only]
         yield self._collide, (n, self._lanes), [arm, bank.placements, bank.shapes, bank.cells, s]
         yield self._observe, (n,), [
-            arm, bank.placements, bank.fields, self.around, s,
-            self.rules, self.layout, self.low, self.high, resets_only, self.out,
+            arm, bank.placements, bank.fields, s, self.rules, self.layout, self.low, self.high, resets_only, self.out
         ]  # fmt: skip
 
     def contact_names(self, part: int, counterpart: int, scene: int) -> tuple[str, str]:
@@ -197,7 +192,7 @@ def check_settings(settings: EnvSettings) -> None:
         InvalidValueError: The message lists what they support.
     """
     if settings.observation not in OBSERVATIONS:
-        raise unsupported("observation", settings.observation, ", ".join(OBSERVATIONS))
+        raise unsupported("observation", settings.observation, " or ".join(OBSERVATIONS))
     if settings.action not in ACTIONS:
         raise unsupported("action", settings.action, ", ".join(ACTIONS))
     if not isinstance(settings.reward, (DenseReward, SparseReward)) and settings.reward not in REWARDS:

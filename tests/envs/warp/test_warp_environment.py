@@ -175,7 +175,7 @@ def test_tensors_are_views():
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"observation": "depth"}, "surroundings, goal"),
+        ({"observation": "depth"}, "state or goal"),
         ({"reward": "path"}, "dense, sparse"),
         ({"randomization": Randomization(base_yaw=0.1)}, "randomization"),
         ({"device": "cuda:77"}, "not available"),
