@@ -60,15 +60,15 @@ class ComposedBank(SceneBank):
         self._source, self._robot = SceneBank.open(source), get_robot(robot)
         self._seed, self._targets = require_seed(seed), check_whole("targets", targets, 1)
         count = check_whole("count", count, 1)
-        self._kinds: list[tuple[str | None, str | None]] = []  # source and style of each scene
+        self._plant_kinds: list[tuple[str | None, str | None]] = []  # source and style of each scene
         self._bases, self._donors = defaultdict[Any, list[str]](list), defaultdict[Any, list[list[Plant]]](list)
         for entry in self._source.manifest.scenes:
             if entry.split == SPLIT and (plants := plants_of(self._source.scene(entry.name))):
                 kind = entry.source, entry.style
-                self._kinds.append(kind)
+                self._plant_kinds.append(kind)
                 self._bases[kind].append(entry.name)
                 self._donors[kind].append(plants)
-        if not self._kinds:
+        if not self._plant_kinds:
             raise InvalidValueError(f"bank {self._source.path} has no training scene with a complete plant")
         counts = [self._source.scene(name).count for names in self._bases.values() for name in names]
         self._largest = max(counts)
@@ -122,7 +122,7 @@ class ComposedBank(SceneBank):
             InvalidValueError: No attempt gave a stand in which the arm starts free and reaches a tomato.
         """
         rng = np.random.default_rng([self._seed, int(entry.name.rpartition("-")[2])])
-        kind = self._kinds[int(rng.integers(len(self._kinds)))]
+        kind = self._plant_kinds[int(rng.integers(len(self._plant_kinds)))]
         bases, donors = self._bases[kind], self._donors[kind]
 
         def draw() -> Plant:
