@@ -536,7 +536,7 @@ def test_a_bank_from_a_recording_on_disk(tmp_path: Path, monkeypatch: pytest.Mon
     """Every stage is the real one, but for the certificates."""
     from greenhouse_gym.capture import open_recording
 
-    monkeypatch.setattr(build, "certify_targets", lambda scene, robot, most, smallest: ())
+    monkeypatch.setattr(build, "certify_targets", lambda scene, robot, max_targets, min_radius: ())
     opened = open_recording(write_recording(half_recording(), tmp_path / "recording"))
     bank = build_bank([opened], tmp_path / "bank", "real", on_progress=lambda text: None)
     (scene,) = bank
