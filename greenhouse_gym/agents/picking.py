@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from functools import lru_cache
 from typing import Protocol
@@ -22,6 +22,8 @@ _PULLING, _PULLS = 0.06, 36  # m/s, and actions of turning and pulling at most
 _RETREAT, _RETREATS = 0.05, 20  # metres by which the tip withdraws, and actions at most
 _BACK, _FASTER = 0.25, 0.05  # m/s at most, and m/s by which it becomes faster per action
 _YIELDING = 0.012  # m/s per N: the tip yields to what pushes the held fruit
+_RAMP, _SLOWEST = 5, 0.1  # actions until a gentle motion has its full pace, and smallest fraction of it
+_LIGHT, _PULL, _FIRM = 4.0, 8.0, 12.0  # N: pulls at which it slows down, yields and has its smallest pace
 _SHRUNK, _STEP = 0.9, 0.004  # radius of a held fruit in plans over its own, and metres to which it is rounded up
 _DAMPING = 0.05  # metres per radian: of the inverse kinematics
 _GUESSES, _ENDS = 400, 200  # configurations from which inverse kinematics starts above the crate, and results at most
@@ -65,17 +67,16 @@ class Hand(Protocol):
         """Return the fruit that hang."""
 
 
-def close_gap(hand: Hand, fruit: int) -> Iterator[Twist]:
-    """Bring the cup to a fruit until it holds one."""
-    for _ in range(_REACHES):
+def close_gap(hand: Hand, fruit: int, speed: float = _CLOSING) -> Iterator[Twist]:
+    """Bring the cup to a fruit until it holds one, at a speed, m/s, at most."""
+    for _ in range(round(_REACHES * _CLOSING / speed)):
         if hand.held >= 0:
             return
         tip, axis = hand.tip
         offset = hand.center(fruit) - tip
         distance = float(np.linalg.norm(offset))
         gap = distance - hand.radius(fruit) - _CONTACT
-        speed = np.clip(gap / hand.interval, -_CLOSING, _CLOSING)
-        yield offset / distance * speed, 2 * np.cross(axis, offset / distance)
+        yield offset / distance * np.clip(gap / hand.interval, -speed, speed), 2 * np.cross(axis, offset / distance)
 
 
 def turns(hand: Hand, fruit: int) -> Iterator[Array]:
@@ -122,6 +123,24 @@ def withdraw(hand: Hand, direction: Array) -> Iterator[Twist]:
         if (hand.tip[0] - start) @ direction > clear or hand.held < 0:
             return
         yield direction * min(_BACK, _FASTER * step) + _YIELDING * hand.force, _STILL
+
+
+def gently(hand: Hand, twists: Iterable[Twist]) -> Iterator[Twist]:
+    """Begin motions slowly, slow them down as the held fruit pulls, and yield to a pull beyond that of a pedicel."""
+    for step, (velocity, spin) in enumerate(twists, 1):
+        pace = min(step / _RAMP, ease(hand))
+        yield velocity * pace + yielding(hand), spin * pace
+
+
+def ease(hand: Hand) -> float:
+    """Return the fraction of its pace, up to 1, at which the tip may move while the held fruit pulls at it."""
+    pull = float(np.linalg.norm(hand.force))
+    return float(np.clip((_FIRM - pull) / (_FIRM - _LIGHT), _SLOWEST, 1.0))
+
+
+def yielding(hand: Hand) -> Array:
+    """Return the velocity (3,) at which the tip yields to a pull beyond that of a pedicel, m/s."""
+    return np.asarray(_YIELDING * max(0.0, 1.0 - _PULL / max(float(np.linalg.norm(hand.force)), 1e-9)) * hand.force)
 
 
 def joint_change(jacobian: Array, twist: Twist, interval: float, steps: Array) -> Array:

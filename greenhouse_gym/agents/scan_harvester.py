@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -14,6 +14,8 @@ from greenhouse_gym.agents.agent import NamedAgent, Problem, action_towards
 from greenhouse_gym.agents.picking import (
     Twist,
     close_gap,
+    ease,
+    gently,
     part,
     pointing_down,
     retreats,
@@ -21,6 +23,7 @@ from greenhouse_gym.agents.picking import (
     turns,
     with_fruit,
     withdraw,
+    yielding,
 )
 from greenhouse_gym.agents.planner_agent import default_margin, default_unknown, safe_commands
 from greenhouse_gym.agents.scanned_stand import ScannedStand
@@ -62,6 +65,8 @@ _LEVELS = (
     _Level("rigid", 0.04, 0.012, True), _Level("rigid", 0.04, 0.0, True), _Level("rigid", 0.04, 0.0, False),
     _Level("brush", 0.04, 0.0, False), _Level("brush", 0.0, 0.0, False),
 )  # fmt: skip
+_CARRIED = (_Level("rigid", 0.0, 0.0, False), _Level("brush", 0.0, 0.0, False))  # levels on the way to the crate
+_STOPPED = 10.0  # N: pull at a held fruit that stops the arm on its way to the crate
 _FIRST = 3  # levels of the first try of a fruit
 _TRIES = 3  # picks of a fruit before it is given up
 _BACK = 10  # actions by which the arm goes back the way it came where there is no path
@@ -69,6 +74,7 @@ _CLEAR, _REACHED = 0.12, 0.01  # metres from plants at which the arm is clear of
 _DROPS = 3  # actions to let go
 _KEPT, _LARGEST = 0.008, 0.1  # metres that turning and withdrawing keep from known fruit and stems; largest radius
 _LIFTS = 6  # actions by which the arm goes back after it has let go
+_CLOSING, _PRESSED = 0.05, 0.0012  # m/s to a fruit, and metres by which a tip deflects that presses with 5 N
 _ABOVE = 0.02  # metres above the rim of the crate
 
 
@@ -151,7 +157,7 @@ class _Harvest:
             yield from self._retrace(False, _BACK)
             return
         yield from self._follow(commands, False)
-        yield from self._move(close_gap(hand, fruit))
+        yield from self._move(close_gap(hand, fruit, _CLOSING))
         if hand.holds:
             hand.begin(fruit)
             axis, direction = self._choose(fruit)
@@ -199,13 +205,14 @@ class _Harvest:
         """Bring a fruit back the way the arm came, and from there to the crate."""
         hand = self._hand
         loaded, scene = with_fruit(self._robot, hand.radius(fruit)), self._stand.scene(0.0)
-        level = _Level("rigid", 0.0, 0.0, False)
         yield from self._retrace(True)
         while hand.holds:
             goals = pointing_down(hand.chain, self._robot, hand.command, self._above_crate(), self._problem.seed)
-            commands = self._commands(scene, self._farthest(scene), loaded, goals, level)
-            if commands is not None:
-                yield from self._follow(commands, True)
+            for level in _CARRIED:
+                commands = self._commands(scene, self._farthest(scene), loaded, goals, level)
+                if commands is not None:
+                    break
+            if commands is not None and (yield from self._follow(commands, True)):
                 break
             if len(self._trail) < 2:
                 break
@@ -216,7 +223,7 @@ class _Harvest:
                 yield self._action(np.zeros(len(hand.command)), False)
             yield from self._retrace(False, _LIFTS)
 
-    def _retrace(self, vacuum: bool, steps: int | None = None) -> Iterator[Action]:
+    def _retrace(self, vacuum: bool, actions: int | None = None) -> Iterator[Action]:
         """Go back the way the arm came until it is clear of the plants, or for a number of actions."""
         hand, plants = self._hand, self._stand.scene(0.0).arrays
         if not self._trail:
@@ -224,17 +231,21 @@ class _Harvest:
         apart = np.abs(np.array(self._trail) - hand.command).max(axis=1)
         del self._trail[int(apart.argmin()) + 1 :]
         done = 0
-        while self._trail and done != steps and hand.holds >= vacuum:
+        while self._trail and done != actions and hand.holds >= vacuum:
             tip, axis = hand.tip
             ahead = tip + axis * (hand.radius(hand.working) if vacuum else 0.0)
-            if steps is None and distance_to_nearest(ahead[None], plants, 1.0)[0] > _CLEAR:
+            if actions is None and distance_to_nearest(ahead[None], plants, 1.0)[0] > _CLEAR:
                 return
-            action = action_towards(self._trail[-1], hand.command, self._problem.joint_steps)
+            steps = self._problem.joint_steps
+            change = ease(hand) * steps * action_towards(self._trail[-1], hand.command, steps)
+            change += hand.towards((yielding(hand), np.zeros(3)))
             if np.abs(self._trail[-1] - hand.command).max() < _REACHED:
                 self._trail.pop()
                 continue
             done += 1
-            yield np.append(action, 1.0 if vacuum else -1.0).astype(np.float32)
+            if not self._stand.is_free(hand.command + change):
+                return
+            yield self._action(change, vacuum)
 
     def _above_crate(self) -> Array:
         return np.asarray(self._hand.crate + self._hand.turn @ np.append(spot(self._picked), _ABOVE))
@@ -256,23 +267,38 @@ class _Harvest:
         if result.path is None:
             return None
         kind = "brush" if level.leaves == "brush" and result.brushed_leaves else "rigid"
-        return list(safe_commands(scene, target, result.path, replace(self._problem, robot=arm), kind))
+        commands = list(safe_commands(scene, target, result.path, replace(self._problem, robot=arm), kind))
+        return commands if self._followed_freely(commands) else None
+
+    def _followed_freely(self, commands: list[Array]) -> bool:
+        """Return whether the arm, which lags behind commands, keeps away from itself and fixtures once it is away."""
+        lag, joints, away = float(np.exp(-self._problem.interval / self._robot.lag)), self._hand.joints, False
+        for command in commands:
+            joints = command + lag * (joints - command)
+            free = self._stand.is_free(joints)
+            if away and not free:
+                return False
+            away = away or free
+        return True
 
     def _move(self, twists: Iterator[Twist]) -> Iterator[Action]:
         """Move the tip with vacuum, as far as the arm touches neither itself, nor its cart, the crate or a string."""
         hand = self._hand
-        for twist in twists:
+        for twist in gently(hand, twists):
             change = hand.towards(twist)
-            if not self._stand.is_free(hand.command + change):
+            blocked = hand.deflection > _PRESSED and not hand.holds
+            if blocked or not self._stand.is_free(hand.command + change):
                 return
             yield self._action(change, True)
 
-    def _follow(self, commands: list[Array], vacuum: bool) -> Iterator[Action]:
+    def _follow(self, commands: list[Array], vacuum: bool) -> Generator[Action, None, bool]:
+        """Follow commands; return whether the end is reached, without losing the fruit or pressing it on anything."""
         for command in commands:
             self._trail.append(self._hand.command)
             yield self._action(command - self._hand.command, vacuum)
-            if vacuum and not self._hand.holds:
-                return
+            if vacuum and (not self._hand.holds or np.linalg.norm(self._hand.force) > _STOPPED):
+                return False
+        return True
 
     def _action(self, change: Array, vacuum: bool) -> Action:
         arm = np.clip(change / self._problem.joint_steps, -1, 1)
