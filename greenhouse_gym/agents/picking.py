@@ -23,7 +23,7 @@ _RETREAT, _RETREATS = 0.05, 20  # metres by which the tip withdraws, and actions
 _BACK, _FASTER = 0.25, 0.05  # m/s at most, and m/s by which it becomes faster per action
 _YIELDING = 0.012  # m/s per N: the tip yields to what pushes the held fruit
 _RAMP, _SLOWEST = 5, 0.1  # actions until a gentle motion has its full pace, and smallest fraction of it
-_LIGHT, _PULL, _FIRM = 4.0, 8.0, 12.0  # N: pulls at which it slows down, yields and has its smallest pace
+_ON_TRUSS, _OFF = (6.0, 12.0, 0.012), (0.5, 4.0, 0.05)  # see _pulls; a pedicel parts at 8 N, a truss bends at 2 N
 _SHRUNK, _STEP = 0.9, 0.004  # radius of a held fruit in plans over its own, and metres to which it is rounded up
 _DAMPING = 0.05  # metres per radian: of the inverse kinematics
 _GUESSES, _ENDS = 400, 200  # configurations from which inverse kinematics starts above the crate, and results at most
@@ -126,21 +126,27 @@ def withdraw(hand: Hand, direction: Array) -> Iterator[Twist]:
 
 
 def gently(hand: Hand, twists: Iterable[Twist]) -> Iterator[Twist]:
-    """Begin motions slowly, slow them down as the held fruit pulls, and yield to a pull beyond that of a pedicel."""
+    """Begin motions slowly, slow them down as something pulls at the held fruit, and yield to what pulls firmly."""
     for step, (velocity, spin) in enumerate(twists, 1):
         pace = min(step / _RAMP, ease(hand))
         yield velocity * pace + yielding(hand), spin * pace
 
 
 def ease(hand: Hand) -> float:
-    """Return the fraction of its pace, up to 1, at which the tip may move while the held fruit pulls at it."""
-    pull = float(np.linalg.norm(hand.force))
-    return float(np.clip((_FIRM - pull) / (_FIRM - _LIGHT), _SLOWEST, 1.0))
+    """Return the fraction of its pace, up to 1, at which the tip may move while something pulls at the held fruit."""
+    light, firm, _ = _pulls(hand)
+    return float(np.clip((firm - np.linalg.norm(hand.force)) / (firm - light), _SLOWEST, 1.0))
 
 
 def yielding(hand: Hand) -> Array:
-    """Return the velocity (3,) at which the tip yields to a pull beyond that of a pedicel, m/s."""
-    return np.asarray(_YIELDING * max(0.0, 1.0 - _PULL / max(float(np.linalg.norm(hand.force)), 1e-9)) * hand.force)
+    """Return the velocity (3,) at which the tip yields to what pulls at the held fruit, m/s."""
+    light, _, speed = _pulls(hand)
+    return np.asarray(speed * max(0.0, 1.0 - light / max(float(np.linalg.norm(hand.force)), 1e-9)) * hand.force)
+
+
+def _pulls(hand: Hand) -> tuple[float, float, float]:
+    """Return the pulls from which a gentle motion slows down and has its smallest pace, N, and m/s per N it yields."""
+    return _ON_TRUSS if hand.held in hand.hanging() else _OFF
 
 
 def joint_change(jacobian: Array, twist: Twist, interval: float, steps: Array) -> Array:

@@ -65,9 +65,14 @@ _LEVELS = (
     _Level("rigid", 0.04, 0.012, True), _Level("rigid", 0.04, 0.0, True), _Level("rigid", 0.04, 0.0, False),
     _Level("brush", 0.04, 0.0, False), _Level("brush", 0.0, 0.0, False),
 )  # fmt: skip
-_CARRIED = (_Level("rigid", 0.0, 0.0, False), _Level("brush", 0.0, 0.0, False))  # levels on the way to the crate
-_STOPPED = 10.0  # N: pull at a held fruit that stops the arm on its way to the crate
+_CARRIED = tuple(
+    _Level(leaves, 0.02, apart, False) for leaves in ("rigid", "brush") for apart in (0.012, 0.0)
+)  # on the way to the crate
+_DELIVERIES = 8  # plans to the crate, in the latter half through leaves
+_BLOCKED = 9.0  # N: pull at a held fruit that stops the arm on its way back
+_STOPPED = 4.0  # N: pull at a held fruit that stops the arm on its way to the crate
 _FIRST = 3  # levels of the first try of a fruit
+_PLANS, _LOOKS = 3, 4  # plans of an approach, and actions until it looks again for what is in its way
 _TRIES = 3  # picks of a fruit before it is given up
 _BACK = 10  # actions by which the arm goes back the way it came where there is no path
 _CLEAR, _REACHED = 0.12, 0.01  # metres from plants at which the arm is clear of them; radians from a waypoint
@@ -148,15 +153,9 @@ class _Harvest:
     def _pick(self, fruit: int) -> Iterator[Action]:
         hand = self._hand
         hand.working, hand.parting = fruit, False
-        for level in _LEVELS if self._tries[fruit] else _LEVELS[:_FIRST]:
-            scene = self._stand.scene(level.around, level.apart, fruit)
-            commands = self._commands(scene, fruit, self._robot, _GOALS, level)
-            if commands is not None:
-                break
-        else:
+        if not (yield from self._approach(fruit)):
             yield from self._retrace(False, _BACK)
             return
-        yield from self._follow(commands, False)
         yield from self._move(close_gap(hand, fruit, _CLOSING))
         if hand.holds:
             hand.begin(fruit)
@@ -169,6 +168,20 @@ class _Harvest:
             yield from self._deliver(fruit)
         else:
             yield from self._retrace(False)
+
+    def _approach(self, fruit: int) -> Generator[Action, None, bool]:
+        """Follow a path to a fruit, and plan again where the camera sees something in its way; return success."""
+        for _ in range(_PLANS):
+            for level in _LEVELS if self._tries[fruit] else _LEVELS[:_FIRST]:
+                scene = self._stand.scene(level.around, level.apart, fruit)
+                commands = self._commands(scene, fruit, self._robot, _GOALS, level)
+                if commands is not None:
+                    break
+            else:
+                return False
+            if (yield from self._follow(commands, False, level.leaves == "rigid")):
+                return True
+        return False
 
     def _choose(self, fruit: int) -> tuple[Array, int]:
         """Return the axis to turn a held fruit about and the number of the direction to withdraw in.
@@ -202,19 +215,17 @@ class _Harvest:
         return axis, direction
 
     def _deliver(self, fruit: int) -> Iterator[Action]:
-        """Bring a fruit back the way the arm came, and from there to the crate."""
+        """Bring a fruit to the crate, as far as there is no path the way the arm came."""
         hand = self._hand
-        loaded, scene = with_fruit(self._robot, hand.radius(fruit)), self._stand.scene(0.0)
-        yield from self._retrace(True)
-        while hand.holds:
+        loaded = with_fruit(self._robot, hand.radius(fruit))
+        for attempt in range(_DELIVERIES):
             goals = pointing_down(hand.chain, self._robot, hand.command, self._above_crate(), self._problem.seed)
-            for level in _CARRIED:
+            for level in _CARRIED[:2] if attempt < _DELIVERIES // 2 else _CARRIED:
+                scene = self._stand.scene(level.around, level.apart)
                 commands = self._commands(scene, self._farthest(scene), loaded, goals, level)
                 if commands is not None:
                     break
-            if commands is not None and (yield from self._follow(commands, True)):
-                break
-            if len(self._trail) < 2:
+            if not hand.holds or (commands is not None and (yield from self._follow(commands, True))):
                 break
             yield from self._retrace(True, _BACK)
         self._picked += hand.holds
@@ -243,7 +254,7 @@ class _Harvest:
                 self._trail.pop()
                 continue
             done += 1
-            if not self._stand.is_free(hand.command + change):
+            if self._stops(change) or (vacuum and np.linalg.norm(hand.force) > _BLOCKED):
                 return
             yield self._action(change, vacuum)
 
@@ -287,13 +298,21 @@ class _Harvest:
         for twist in gently(hand, twists):
             change = hand.towards(twist)
             blocked = hand.deflection > _PRESSED and not hand.holds
-            if blocked or not self._stand.is_free(hand.command + change):
+            if blocked or self._stops(change):
                 return
             yield self._action(change, True)
 
-    def _follow(self, commands: list[Array], vacuum: bool) -> Generator[Action, None, bool]:
-        """Follow commands; return whether the end is reached, without losing the fruit or pressing it on anything."""
-        for command in commands:
+    def _follow(self, commands: list[Array], vacuum: bool, watching: bool = False) -> Generator[Action, None, bool]:
+        """Follow commands until something is in the way; return whether the end is reached.
+
+        Args:
+            commands: The commands.
+            vacuum: Whether a fruit is held: it stops where that is lost, or pressed on something.
+            watching: Whether it stops where the camera sees something in its way.
+        """
+        for k, command in enumerate(commands):
+            if watching and k % _LOOKS == 0 and self._stand.blocks(np.array(commands[k::2])):
+                return False
             self._trail.append(self._hand.command)
             yield self._action(command - self._hand.command, vacuum)
             if vacuum and (not self._hand.holds or np.linalg.norm(self._hand.force) > _STOPPED):

@@ -6,16 +6,22 @@ from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
+from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
 
 from greenhouse_gym.agents.agent import Problem
 from greenhouse_gym.agents.sensed_hand import SensedHand
 from greenhouse_gym.crops.parts import SpaceBox
-from greenhouse_gym.geometry import Array, Sphere, pose
+from greenhouse_gym.geometry import Array, Sphere, distance_to_nearest, pose
+from greenhouse_gym.motion.arm_spheres import arm_spheres
 from greenhouse_gym.motion.collision import CollisionChecker, planning_model
 from greenhouse_gym.motion.unknown_space import guarded
 from greenhouse_gym.scene import Scene
+from greenhouse_gym.scene.occupancy import boxes_around_points
 
 _GUARD = 0.005  # metres from which the arm keeps from itself, its cart, the crate and strings
+_VOXEL, _AROUND, _EXPLAINED, _OF_TARGET = 0.012, 0.4, 0.012, 0.03  # metres: see _unscanned
+_STRING = 0.008  # metres by which a string may hang elsewhere
 
 
 class ScannedStand:
@@ -47,9 +53,28 @@ class ScannedStand:
                 tomato = replace(tomato, shape=Sphere(center, tomato.radius + apart))
             tomatoes.append(tomato)
         stems = tuple(replace(stem, radius=stem.radius + apart) for stem in scene.stems) if apart else scene.stems
-        clutter = (*scene.clutter, *self._crate(around))
+        clutter = (*scene.clutter, *self._crate(around), *boxes_around_points(self._unscanned(), _VOXEL))
         parts = {"tomatoes": tuple(tomatoes), "stems": stems, "clutter": clutter, "targets": (), "truth": None}
         return scene.model_copy(update=parts)
+
+    def blocks(self, configurations: Array) -> bool:
+        """Return whether the camera sees something in the way of an arm in configurations (m, j)."""
+        arm, points = arm_spheres(self._problem.robot), (self._unscanned() - self._hand.base) @ self._hand.turn
+        if not len(points):
+            return False
+        gaps, _ = cKDTree(points).query(arm.centers(configurations)[:, arm.moving])
+        return bool((gaps < arm.radius[arm.moving]).any())
+
+    def _unscanned(self) -> Array:
+        """Return the points (n, 3) around the tip that the camera sees and nothing known explains."""
+        hand, scan = self._hand, self._problem.scene
+        points = hand.surface.points @ hand.turn.T + hand.base
+        points = points[np.linalg.norm(points - hand.tip[0], axis=1) < _AROUND]
+        points = points[distance_to_nearest(points, scan.arrays, _EXPLAINED) >= _EXPLAINED]
+        fruit = np.append(np.flatnonzero(hand.fruit.hanging), hand.working)
+        centers = np.array([hand.center(k) for k in fruit.tolist()]).reshape(-1, 3)
+        gaps = cdist(points, centers) - hand.fruit.radii[fruit]
+        return np.asarray(points[(gaps > np.append(np.full(len(fruit) - 1, _EXPLAINED), _OF_TARGET)).all(axis=1)])
 
     def is_free(self, configuration: Array) -> bool:
         """Return whether the arm touches neither itself, nor its cart, the crate or a string; (j,) radians."""
@@ -59,7 +84,7 @@ class ScannedStand:
     @cached_property
     def _checker(self) -> CollisionChecker:
         scene = self._problem.scene
-        strings = tuple(stem for stem in scene.stems if stem.kind == "string")
+        strings = tuple(replace(stem, radius=stem.radius + _STRING) for stem in scene.stems if stem.kind == "string")
         parts = {"stems": strings, "clutter": self._crate(0.0), "targets": (), "truth": None, "occupancy": None}
         compiled = guarded(scene.model_copy(update=parts), self._problem.robot, self._problem.start, np.inf)
         return CollisionChecker(planning_model(compiled, 0, _GUARD, pairs=("stems", "clutter", "fixture", "self")))

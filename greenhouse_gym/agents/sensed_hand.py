@@ -11,10 +11,12 @@ from greenhouse_gym.agents.agent import Problem
 from greenhouse_gym.agents.fruit_map import FruitMap
 from greenhouse_gym.agents.occupancy_map import wrist_camera
 from greenhouse_gym.agents.picking import Twist, joint_change
+from greenhouse_gym.agents.seen_surface import SeenSurface
 from greenhouse_gym.envs.features import feature_slices
 from greenhouse_gym.envs.image_observations import RgbObservation
 from greenhouse_gym.envs.tasks.harvest import TomatoHarvest
 from greenhouse_gym.geometry import Array, rotation_about
+from greenhouse_gym.motion.arm_spheres import arm_spheres
 from greenhouse_gym.motion.unknown_space import guarded
 from greenhouse_gym.plants.mechanics import GRAVITY, PlantMechanics
 from greenhouse_gym.rendering.cameras import MAX_RANGE, DepthCamera
@@ -37,6 +39,7 @@ class SensedHand:
         chain: Kinematic chain of the tool in the scene.
         turn: (3, 3) scene_from_base.
         fruit: The fruit.
+        surface: Points that the camera sees, in the frame of the base.
         working: The fruit in work.
         parting: Whether it is being turned off.
         joints: (j,) measured joint positions, radians.
@@ -57,6 +60,7 @@ class SensedHand:
         self._features = feature_slices(spec.layout)
         self.turn = rotation_about([0, 0, 1], problem.scene.placement.yaw)
         self.base = base_position(problem.scene, problem.robot)
+        self.surface = SeenSurface(arm_spheres(problem.robot), self._camera)
         self._age, self._loose = 0, 0
         self.parting = False
 
@@ -82,6 +86,8 @@ class SensedHand:
             depth = (observation["depth"][0] * MAX_RANGE).reshape(-1).astype(np.float64)
             points = origin + depth[:, None] * (self._camera.rays @ turn.T)
             self.fruit.see(points, observation["rgb"].reshape(3, -1).T, depth)
+            view = self.turn.T @ turn, self.turn.T @ (origin - self.base)
+            self.surface.see(depth, (points - self.base) @ self.turn, view, self.joints)
         self._age += 1
         if self.parting and self.holds:
             loose = np.linalg.norm(self.force) < _LOOSE * self._weight
