@@ -132,7 +132,7 @@ class _Harvest:
         self._problem, self._hand, self._robot = problem, hand, problem.robot
         self._tries: dict[int, int] = dict.fromkeys(problem.targets, 0)
         self._trail: list[Array] = []
-        self._picked = 0
+        self._picked = self._plans = 0
         self._stand = ScannedStand(problem, hand)
 
     def run(self) -> Iterator[Action]:
@@ -241,7 +241,7 @@ class _Harvest:
             return
         apart = np.abs(np.array(self._trail) - hand.command).max(axis=1)
         del self._trail[int(apart.argmin()) + 1 :]
-        done = 0
+        done, trailing = 0, False
         while self._trail and done != actions and hand.holds >= vacuum:
             tip, axis = hand.tip
             ahead = tip + axis * (hand.radius(hand.working) if vacuum else 0.0)
@@ -252,9 +252,10 @@ class _Harvest:
             change += hand.towards((yielding(hand), np.zeros(3)))
             if np.abs(self._trail[-1] - hand.command).max() < _REACHED:
                 self._trail.pop()
+                trailing = True
                 continue
             done += 1
-            if self._stops(change) or (vacuum and np.linalg.norm(hand.force) > _BLOCKED):
+            if (not trailing and self._stops(change)) or (vacuum and np.linalg.norm(hand.force) > _BLOCKED):
                 return
             yield self._action(change, vacuum)
 
@@ -268,11 +269,12 @@ class _Harvest:
     def _commands(self, scene: Scene, target: int, arm: Robot, goals: int | Array, level: _Level) -> list[Array] | None:
         """Return the commands along a planned path; None without one."""
         start = np.clip(self._hand.command, arm.lower, arm.upper)
-        seed = self._problem.seed + self._picked + 31 * max(self._tries.values())
+        self._plans += 1
         scan = self._problem.scene
         unknown, margin = (default_unknown(scan), default_margin(scan)) if level.cautious else ("free", 0.0)
         result = plan(
-            scene, target, arm, time_limit=None, max_checks=_CHECKS, goals=goals, seed=seed, start=start,
+            scene, target, arm, time_limit=None, max_checks=_CHECKS, goals=goals, seed=self._problem.seed + self._plans,
+            start=start,
             unknown=unknown, margin=margin, leaves=level.leaves,
         )  # fmt: skip
         if result.path is None:
@@ -301,6 +303,11 @@ class _Harvest:
             if blocked or self._stops(change):
                 return
             yield self._action(change, True)
+
+    def _stops(self, change: Array) -> bool:
+        """Return whether a change of the commands brings the arm near itself, its cart, the crate or a string."""
+        command = self._hand.command
+        return not self._stand.is_free(command + change) and self._stand.is_free(command)
 
     def _follow(self, commands: list[Array], vacuum: bool, watching: bool = False) -> Generator[Action, None, bool]:
         """Follow commands until something is in the way; return whether the end is reached.

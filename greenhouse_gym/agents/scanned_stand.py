@@ -21,7 +21,6 @@ from greenhouse_gym.scene.occupancy import boxes_around_points
 
 _GUARD = 0.005  # metres from which the arm keeps from itself, its cart, the crate and strings
 _VOXEL, _AROUND, _EXPLAINED, _OF_TARGET = 0.012, 0.4, 0.012, 0.03  # metres: see _unscanned
-_STRING = 0.008  # metres by which a string may hang elsewhere
 
 
 class ScannedStand:
@@ -84,7 +83,7 @@ class ScannedStand:
     @cached_property
     def _checker(self) -> CollisionChecker:
         scene = self._problem.scene
-        strings = tuple(replace(stem, radius=stem.radius + _STRING) for stem in scene.stems if stem.kind == "string")
+        strings = tuple(stem for stem in scene.stems if stem.kind == "string")
         parts = {"stems": strings, "clutter": self._crate(0.0), "targets": (), "truth": None, "occupancy": None}
         compiled = guarded(scene.model_copy(update=parts), self._problem.robot, self._problem.start, np.inf)
         return CollisionChecker(planning_model(compiled, 0, _GUARD, pairs=("stems", "clutter", "fixture", "self")))

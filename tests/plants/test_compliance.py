@@ -248,10 +248,9 @@ def shove(scene, seconds, seed):
             action = np.append(rng.uniform(-1, 1, 6) + [0.3, 0, 0, 0, 0, 0], -1.0)[None]
         simulation.step(action)
     live = simulation.live(0)
-    for start in np.linspace(simulation.joints[0], simulation.robot.start, 60):
-        live.data.act[:] = start
-        simulation.step(np.zeros((1, 7)))
-    for _ in range(120):
+    # an arm that is stuck between static plants would hold leaves: put it back
+    live.data.qpos[:6], live.data.qvel[:6], live.data.act[:] = simulation.robot.start, 0.0, simulation.robot.start
+    for _ in range(180):
         simulation.step(np.zeros((1, 7)))
     plants = live.plants
     hinges = live.data.qpos[plants._hinges[:, None] + [0, 1]][1:]  # of leaves, which no fruit has left
@@ -266,13 +265,12 @@ def test_random_shoving_is_stable_and_leaves_swing_back():
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(7200)
-def test_half_an_hour_of_shoving_in_six_scenes():
-    for seed, scene in enumerate(SceneBank.open("mini").names()[:6]):
-        hinges, warnings, data = shove(scene, 300, seed)
-        assert warnings == 0
-        assert np.isfinite(data.qpos).all()
-        assert np.abs(hinges).max() < np.radians(1), scene
+@pytest.mark.parametrize("number", range(6))
+def test_five_minutes_of_shoving_in_each_of_six_scenes(number):
+    hinges, warnings, data = shove(SceneBank.open("mini").names()[number], 300, number)
+    assert warnings == 0
+    assert np.isfinite(data.qpos).all()
+    assert np.abs(hinges).max() < np.radians(1)
 
 
 @pytest.mark.slow
