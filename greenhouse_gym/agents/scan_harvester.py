@@ -48,7 +48,7 @@ class _Level(NamedTuple):
         leaves: How leaves count, see `greenhouse_gym.planning.plan`.
         around: Metres by which the crate is thickened.
         apart: Metres by which fruit except the target, and stems, are thickened.
-        cautious: Keep away from leaves and out of space that the scan did not see.
+        cautious: Keep away from leaves and what the camera sees, and out of space that the scan did not see.
     """
 
     leaves: str
@@ -171,15 +171,15 @@ class _Harvest:
 
     def _approach(self, fruit: int) -> Generator[Action, None, bool]:
         """Follow a path to a fruit, and plan again where the camera sees something in its way; return success."""
-        for _ in range(_PLANS):
+        for attempt in range(_PLANS):
             for level in _LEVELS if self._tries[fruit] else _LEVELS[:_FIRST]:
-                scene = self._stand.scene(level.around, level.apart, fruit)
+                scene = self._stand.scene(level.around, level.apart, fruit, level.cautious)
                 commands = self._commands(scene, fruit, self._robot, _GOALS, level)
                 if commands is not None:
                     break
             else:
                 return False
-            if (yield from self._follow(commands, False, level.leaves == "rigid")):
+            if (yield from self._follow(commands, False, level.cautious and attempt < _PLANS - 1)):
                 return True
         return False
 
@@ -273,9 +273,8 @@ class _Harvest:
         scan = self._problem.scene
         unknown, margin = (default_unknown(scan), default_margin(scan)) if level.cautious else ("free", 0.0)
         result = plan(
-            scene, target, arm, time_limit=None, max_checks=_CHECKS, goals=goals, seed=self._problem.seed + self._plans,
-            start=start,
-            unknown=unknown, margin=margin, leaves=level.leaves,
+            scene, target, arm, time_limit=None, max_checks=_CHECKS, goals=goals, start=start, unknown=unknown,
+            seed=self._problem.seed + self._plans, margin=margin, leaves=level.leaves,
         )  # fmt: skip
         if result.path is None:
             return None

@@ -19,7 +19,7 @@ from greenhouse_gym.motion.unknown_space import guarded
 from greenhouse_gym.scene import Scene
 from greenhouse_gym.scene.occupancy import boxes_around_points
 
-_GUARD = 0.005  # metres from which the arm keeps from itself, its cart, the crate and strings
+_GUARD = 0.01  # metres from which the arm keeps from itself, its cart, the crate and strings
 _VOXEL, _AROUND, _EXPLAINED, _OF_TARGET = 0.012, 0.4, 0.012, 0.03  # metres: see _unscanned
 
 
@@ -34,13 +34,14 @@ class ScannedStand:
     def __init__(self, problem: Problem, hand: SensedHand):
         self._problem, self._hand = problem, hand
 
-    def scene(self, around: float, apart: float = 0.0, target: int = -1) -> Scene:
+    def scene(self, around: float, apart: float = 0.0, target: int = -1, seen: bool = False) -> Scene:
         """Return the scan with its fruit where they are now, and the crate.
 
         Args:
             around: Metres by which the crate is thickened.
             apart: Metres by which fruit except the target, and stems, are thickened.
             target: The target.
+            seen: Whether what the camera sees and the scan lacks is clutter.
         """
         scene, fruit = self._problem.scene, self._hand.fruit
         tomatoes = []
@@ -52,7 +53,9 @@ class ScannedStand:
                 tomato = replace(tomato, shape=Sphere(center, tomato.radius + apart))
             tomatoes.append(tomato)
         stems = tuple(replace(stem, radius=stem.radius + apart) for stem in scene.stems) if apart else scene.stems
-        clutter = (*scene.clutter, *self._crate(around), *boxes_around_points(self._unscanned(), _VOXEL))
+        clutter = (*scene.clutter, *self._crate(around))
+        if seen:
+            clutter += tuple(boxes_around_points(self._unscanned(), _VOXEL))
         parts = {"tomatoes": tuple(tomatoes), "stems": stems, "clutter": clutter, "targets": (), "truth": None}
         return scene.model_copy(update=parts)
 
