@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Iterator, Mapping
-from dataclasses import replace
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -25,48 +24,29 @@ from greenhouse_gym.agents.picking import (
     withdraw,
     yielding,
 )
-from greenhouse_gym.agents.planner_agent import default_margin, default_unknown, safe_commands
+from greenhouse_gym.agents.scanned_paths import Level, ScannedPaths
 from greenhouse_gym.agents.scanned_stand import ScannedStand
 from greenhouse_gym.agents.sensed_hand import ImaginedHand, SensedHand
 from greenhouse_gym.envs.image_observations import RgbObservation
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array, arrays_of, distance_to_nearest
 from greenhouse_gym.motion.arm_spheres import arm_spheres
-from greenhouse_gym.planning import plan
 from greenhouse_gym.rendering.cameras import DepthCamera
-from greenhouse_gym.robots import Robot
 from greenhouse_gym.robots.kinematics import tool_state
-from greenhouse_gym.scene import Scene
 
 Action = npt.NDArray[np.float32]
-
-
-class _Level(NamedTuple):
-    """Caution of a plan.
-
-    Attributes:
-        leaves: How leaves count, see `greenhouse_gym.planning.plan`.
-        around: Metres by which the crate is thickened.
-        apart: Metres by which fruit except the target, and stems, are thickened.
-        cautious: Keep away from leaves and what the camera sees, and out of space that the scan did not see.
-    """
-
-    leaves: str
-    around: float
-    apart: float
-    cautious: bool
 
 
 IMAGE = (64, 48)
 """Width and height of the camera's images, pixels."""
 
-_CHECKS, _GOALS = 40_000, 30  # collision checks of a plan, and configurations at a fruit
+_GOALS = 30  # configurations at a fruit
 _LEVELS = (
-    _Level("rigid", 0.04, 0.012, True), _Level("rigid", 0.04, 0.0, True), _Level("rigid", 0.04, 0.0, False),
-    _Level("brush", 0.04, 0.0, False), _Level("brush", 0.0, 0.0, False),
+    Level("rigid", 0.04, 0.012, True), Level("rigid", 0.04, 0.0, True), Level("rigid", 0.04, 0.0, False),
+    Level("brush", 0.04, 0.0, False), Level("brush", 0.0, 0.0, False),
 )  # fmt: skip
 _CARRIED = tuple(
-    _Level(leaves, 0.02, apart, False) for leaves in ("rigid", "brush") for apart in (0.012, 0.0)
+    Level(leaves, 0.02, apart, False) for leaves in ("rigid", "brush") for apart in (0.012, 0.0)
 )  # on the way to the crate
 _DELIVERIES = 8  # plans to the crate, in the latter half through leaves
 _BLOCKED = 9.0  # N: pull at a held fruit that stops the arm on its way back
@@ -132,8 +112,9 @@ class _Harvest:
         self._problem, self._hand, self._robot = problem, hand, problem.robot
         self._tries: dict[int, int] = dict.fromkeys(problem.targets, 0)
         self._trail: list[Array] = []
-        self._picked = self._plans = 0
+        self._picked = 0
         self._stand = ScannedStand(problem, hand)
+        self._paths = ScannedPaths(problem, hand, self._stand)
 
     def run(self) -> Iterator[Action]:
         """Yield the actions, at last without end."""
@@ -174,7 +155,7 @@ class _Harvest:
         for attempt in range(_PLANS):
             for level in _LEVELS if self._tries[fruit] else _LEVELS[:_FIRST]:
                 scene = self._stand.scene(level.around, level.apart, fruit, level.cautious)
-                commands = self._commands(scene, fruit, self._robot, _GOALS, level)
+                commands = self._paths.commands(scene, fruit, self._robot, _GOALS, level)
                 if commands is not None:
                     break
             else:
@@ -222,7 +203,7 @@ class _Harvest:
             goals = pointing_down(hand.chain, self._robot, hand.command, self._above_crate(), self._problem.seed)
             for level in _CARRIED[:2] if attempt < _DELIVERIES // 2 else _CARRIED:
                 scene = self._stand.scene(level.around, level.apart)
-                commands = self._commands(scene, self._farthest(scene), loaded, goals, level)
+                commands = self._paths.commands(scene, self._paths.farthest(scene), loaded, goals, level)
                 if commands is not None:
                     break
             if not hand.holds or (commands is not None and (yield from self._follow(commands, True))):
@@ -261,37 +242,6 @@ class _Harvest:
 
     def _above_crate(self) -> Array:
         return np.asarray(self._hand.crate + self._hand.turn @ np.append(spot(self._picked), _ABOVE))
-
-    def _farthest(self, scene: Scene) -> int:
-        tip, _ = self._hand.tip
-        return int(np.argmax([np.linalg.norm(tomato.center - tip) for tomato in scene.tomatoes]))
-
-    def _commands(self, scene: Scene, target: int, arm: Robot, goals: int | Array, level: _Level) -> list[Array] | None:
-        """Return the commands along a planned path; None without one."""
-        start = np.clip(self._hand.command, arm.lower, arm.upper)
-        self._plans += 1
-        scan = self._problem.scene
-        unknown, margin = (default_unknown(scan), default_margin(scan)) if level.cautious else ("free", 0.0)
-        result = plan(
-            scene, target, arm, time_limit=None, max_checks=_CHECKS, goals=goals, start=start, unknown=unknown,
-            seed=self._problem.seed + self._plans, margin=margin, leaves=level.leaves,
-        )  # fmt: skip
-        if result.path is None:
-            return None
-        kind = "brush" if level.leaves == "brush" and result.brushed_leaves else "rigid"
-        commands = list(safe_commands(scene, target, result.path, replace(self._problem, robot=arm), kind))
-        return commands if self._followed_freely(commands) else None
-
-    def _followed_freely(self, commands: list[Array]) -> bool:
-        """Return whether the arm, which lags behind commands, keeps away from itself and fixtures once it is away."""
-        lag, joints, away = float(np.exp(-self._problem.interval / self._robot.lag)), self._hand.joints, False
-        for command in commands:
-            joints = command + lag * (joints - command)
-            free = self._stand.is_free(joints)
-            if away and not free:
-                return False
-            away = away or free
-        return True
 
     def _move(self, twists: Iterator[Twist]) -> Iterator[Action]:
         """Move the tip with vacuum, as far as the arm touches neither itself, nor its cart, the crate or a string."""
