@@ -59,6 +59,7 @@ _CLEAR, _REACHED = 0.12, 0.01  # metres from plants at which the arm is clear of
 _DROPS = 3  # actions to let go
 _KEPT, _LARGEST = 0.008, 0.1  # metres that turning and withdrawing keep from known fruit and stems; largest radius
 _LIFTS = 6  # actions by which the arm goes back after it has let go
+_SETTLES = 3  # actions at rest in front of a fruit
 _CLOSING, _PRESSED = 0.05, 0.0012  # m/s to a fruit, and metres by which a tip deflects that presses with 5 N
 _ABOVE = 0.02  # metres above the rim of the crate
 
@@ -137,6 +138,8 @@ class _Harvest:
         if not (yield from self._approach(fruit)):
             yield from self._retrace(False, _BACK)
             return
+        for _ in range(_SETTLES):
+            yield self._action(np.zeros(len(hand.command)), False)
         yield from self._move(close_gap(hand, fruit, _CLOSING))
         if hand.holds:
             hand.begin(fruit)
