@@ -23,7 +23,7 @@ _RETREAT, _RETREATS = 0.05, 20  # metres by which the tip withdraws, and actions
 _BACK, _FASTER = 0.25, 0.05  # m/s at most, and m/s by which it becomes faster per action
 _YIELDING = 0.012  # m/s per N: the tip yields to what pushes the held fruit
 _RAMP, _SLOWEST = 5, 0.1  # actions until a gentle motion has its full pace, and smallest fraction of it
-_ON_TRUSS, _OFF = (2.0, 12.0, 0.02), (0.5, 4.0, 0.05)  # see _pulls; a pedicel parts at 8 N, a truss bends at 2 N
+_ON_TRUSS, _OFF = (2.0, 12.0, 0.02), (0.5, 4.0, 0.05)  # see _pulls; a pedicel parts at 8 N, a truss is bent too far by 2 N
 _SHRUNK, _STEP = 0.9, 0.004  # radius of a held fruit in plans over its own, and metres to which it is rounded up
 _DAMPING = 0.05  # metres per radian: of the inverse kinematics
 _GUESSES, _ENDS = 400, 200  # configurations from which inverse kinematics starts above the crate, and results at most
@@ -128,8 +128,8 @@ def withdraw(hand: Hand, direction: Array) -> Iterator[Twist]:
 def gently(hand: Hand, twists: Iterable[Twist]) -> Iterator[Twist]:
     """Begin motions slowly, slow them down as something pulls at the held fruit, and yield to what pulls firmly."""
     for step, (velocity, spin) in enumerate(twists, 1):
-        pace = min(step / _RAMP, ease(hand))
-        yield velocity * pace + yielding(hand), spin * pace
+        fraction = min(step / _RAMP, ease(hand))
+        yield velocity * fraction + yielding(hand), spin * fraction
 
 
 def ease(hand: Hand) -> float:

@@ -27,10 +27,10 @@ def test_motions_begin_slowly_and_reach_their_pace():
 
 
 def test_a_fruit_that_is_off_yields_to_what_a_pedicel_may_pull_with():
-    sideways = [0.0, 3.0, 0.0]
+    sideways = [0.0, 2.0, 0.0]
     hanging, off = twists(sideways, hanging=True)[-1], twists(sideways, hanging=False)[-1]
     np.testing.assert_allclose(hanging, FORWARD[0])
-    assert off[0] < 0.05
+    assert off[0] < 0.06
     assert off[1] > 0.05, "it gives way"
 
 
