@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from greenhouse_gym.common.progress import progress
 from greenhouse_gym.envs.actions import CommandLimits, check_actions, squared_norm, with_controls
-from greenhouse_gym.envs.checked_parts import is_of_user, outcome_check, remembered
+from greenhouse_gym.envs.checked_parts import OwnPart, outcome_check, remembered
 from greenhouse_gym.envs.choices import make_action, make_observation, make_reward, make_task
 from greenhouse_gym.envs.compliant_physics import CompliantPhysics, CompliantSimulation
 from greenhouse_gym.envs.contacts import Contacts
@@ -348,7 +348,7 @@ class Simulation:
 
     def _shown_to(self, part: object, state: State) -> State:
         """Return the state as an observation or action gets it; those of a user may not know all of it."""
-        return state.known(self._hidden_goal) if is_of_user(part) else state
+        return state.known(self._hidden_goal) if isinstance(part, OwnPart) else state
 
     def _current_state(self) -> State:
         if self.state is None:

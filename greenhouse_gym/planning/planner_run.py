@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.errors import InvalidValueError, check_whole, is_number, require_seed
+from greenhouse_gym.errors import InvalidValueError, check_flag, check_whole, is_number, require_seed
 from greenhouse_gym.geometry import Array, numbers_of
 from greenhouse_gym.motion.collision import COARSE, PROOF
 from greenhouse_gym.motion.path import path_length
@@ -33,6 +33,7 @@ from greenhouse_gym.scene.mjcf import CompiledScene
 
 _SLACK = 5.0  # seconds: time of a planner that is to be ended by its checks, apart from these
 _SLOWEST = 0.001  # seconds: upper bound of the time for a check, a hundred times the usual
+_MAX_CHECKS = 10**15  # which take years
 _LONGEST = 1e6  # seconds; longer limits are cut to this because they exceed the range of system clocks
 
 GRACE = 5.0
@@ -58,7 +59,8 @@ def plan_with(
     `PlannerQuery`.
     """
     info = PLANNERS[planner]
-    chosen = info.with_settings(settings or {})
+    chosen = info.with_settings({} if settings is None else settings)
+    check_flag("first_solution", first_solution)
     seed = require_seed(seed)
     seconds = search_seconds(time_limit, max_checks)
     arm = compiled.robot
@@ -93,7 +95,7 @@ def plan_with(
 def search_seconds(time_limit: float | None, max_checks: int | None) -> float:
     """Return the limit on time; without one, a limit that the checks never reach."""
     if max_checks is not None:
-        check_whole("max_checks", max_checks, 1)
+        check_whole("max_checks", max_checks, 1, _MAX_CHECKS)
     if time_limit is None:
         if max_checks is None:
             raise InvalidValueError("time_limit is None: give max_checks, otherwise nothing ends the search")

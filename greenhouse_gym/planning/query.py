@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.errors import InvalidValueError, check_whole, require_choice, require_seed
+from greenhouse_gym.errors import InvalidValueError, check_flag, check_whole, require_choice, require_seed
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.caution import with_margin, with_unexplained_cells
 from greenhouse_gym.motion.clearance import path_clearance
@@ -100,7 +100,8 @@ def plan(
     if isinstance(leaves, str):
         require_choice("leaves", leaves, LEAVES)
     arm, depths = get_robot(robot), depths_of(unknown)
-    if unknown != "free" or unexplained:
+    everywhere = isinstance(unknown, str) and unknown == "free"
+    if check_flag("unexplained", unexplained) or not everywhere:
         occupancy_of(scene)
     search_seconds(time_limit, max_checks)  # raises before anything is searched
     origin = check_configurations("start", [arm.configuration(start)], arm)[0]
@@ -163,7 +164,7 @@ def plan(
     result = replace(result, clearance=path_clearance(known, target, path, treatment))
     if treatment == "brush":
         result = replace(result, brushed_leaves=len(LeafContacts(known).brushed(path)))
-    if unknown == "free":
+    if everywhere:
         return result
     length = unknown_length(scene, arm, path)
     message = f"the path leads {length:.2f} m through unknown space" if length > 0 else ""
