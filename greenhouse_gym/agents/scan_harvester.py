@@ -67,9 +67,10 @@ _ABOVE = 0.02  # metres above the rim of the crate
 class ScanHarvester(NamedAgent):
     """Pick the fruit that the scan shows one after the other, and follow them with the camera at the wrist.
 
-    It plans in the scan to the nearest fruit, closes the gap by what the camera sees of it, turns it about the presumed
-    joint of its pedicel until the force at the wrist says that it is off, withdraws, and plans to the crate. It never
-    sees the true plants; which fruit are to be picked is a part of the problem.
+    It plans in the scan to the nearest fruit, around what the camera sees and the scan lacks, closes the gap, turns the
+    fruit gently about the presumed joint of its pedicel until the force at the wrist says that it is off, withdraws,
+    yielding to whatever pulls at the fruit, and plans to the crate. Where there is no path it goes back the way it
+    came. It never sees the true plants; which fruit are to be picked is a part of the problem.
 
     Args:
         name: Name in tables.
