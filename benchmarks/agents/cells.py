@@ -35,6 +35,7 @@ CELLS = {
     "own, all": ("own", DIFFICULTIES),
     "helios, easy": ("helios", "easy"),
     "helios, medium": ("helios", "medium"),
+    "helios, all": ("helios", DIFFICULTIES),
 }
 """Sources and difficulties of the targets."""
 
