@@ -22,8 +22,9 @@ _PULLING, _PULLS = 0.06, 36  # m/s, and actions of turning and pulling at most
 _RETREAT, _RETREATS = 0.05, 20  # metres by which the tip withdraws, and actions at most
 _BACK, _FASTER = 0.25, 0.05  # m/s at most, and m/s by which it becomes faster per action
 _YIELDING = 0.012  # m/s per N: the tip yields to what pushes the held fruit
-_RAMP, _SLOWEST = 5, 0.1  # actions until a gentle motion has its full pace, and smallest fraction of it
-_ON_TRUSS, _OFF = (2.0, 12.0, 0.02), (0.5, 4.0, 0.05)  # see _pulls; a pedicel parts at 8 N, a truss is bent too far by 2 N
+_RAMP, _SLOWEST = 5, 0.1  # actions until a gentle motion has its full speed, and smallest fraction of it
+# see _pulls: a pedicel parts at 8 N, and 2 N bend a truss too far
+_ON_TRUSS, _OFF = (2.0, 12.0, 0.02), (0.5, 4.0, 0.05)
 _SHRUNK, _STEP = 0.9, 0.004  # radius of a held fruit in plans over its own, and metres to which it is rounded up
 _DAMPING = 0.05  # metres per radian: of the inverse kinematics
 _GUESSES, _ENDS = 400, 200  # configurations from which inverse kinematics starts above the crate, and results at most
@@ -145,7 +146,7 @@ def yielding(hand: Hand) -> Array:
 
 
 def _pulls(hand: Hand) -> tuple[float, float, float]:
-    """Return the pulls from which a gentle motion slows down and has its smallest pace, N, and m/s per N it yields."""
+    """Return the pulls from which a gentle motion slows down and is slowest, N, and m/s per N it yields."""
     return _ON_TRUSS if hand.held in hand.hanging() else _OFF
 
 
