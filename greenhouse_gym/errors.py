@@ -8,6 +8,8 @@ from difflib import get_close_matches
 from numbers import Integral, Real
 from typing import Any
 
+import numpy as np
+
 _LONGEST = 1000  # characters of what a damaged file held that a message repeats
 
 
@@ -124,6 +126,17 @@ def check_whole(name: str, value: Any, lowest: int, highest: int | None = None) 
         limit = "up" if highest is None else f"to {highest}"
         raise InvalidValueError(f"{name} must be a whole number from {lowest} {limit}, got {value!r}")
     return int(value)
+
+
+def check_flag(name: str, value: Any) -> bool:
+    """Return the value if it is a truth value, of Python or NumPy.
+
+    Raises:
+        InvalidValueError: It is not.
+    """
+    if not isinstance(value, bool | np.bool_):
+        raise InvalidValueError(f"{name} must be True or False, got {value!r}")
+    return bool(value)
 
 
 def check_items(name: str, values: Any, expected: str) -> tuple[Any, ...]:

@@ -191,6 +191,7 @@ def tiff_header(**numbers: int) -> bytes:
         (tiff_header(**{"256": 8000, "257": 8000, "258": 64}), "8000x8000 pixels of 8 bytes is too large"),
         (tiff_header(**{"256": 8000, "257": 8000, "277": 4}), "8000x8000 pixels of 8 bytes is too large"),
         (tiff_header(**{"322": 2**14, "323": 2**14}), "16384x16384 pixels of 2 bytes is too large"),
+        (png_header(16, 12)[:33] + (2**30).to_bytes(4, "big") + png_header(16, 12)[37:], "truncated PNG file"),
         (b"P5 60000 60000 65535\n", "60000x60000 pixels of 3 bytes is too large"),
         (b"\xff\xd8" + 101 * b"\xff\xda\0\2" + b"\xff\xd9", "more than 100 scans"),
     ],

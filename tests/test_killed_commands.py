@@ -15,15 +15,29 @@ from killed import Commands, contents
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="commands are forked")
 
 PPO = "--bank mini --set num_envs=4 --set rollout_steps=32 --set batch_size=64 --set hidden=[8]"
+BC = (
+    "--steps 2048 --bank mini --set ppo.num_envs=4 --set ppo.rollout_steps=32 --set ppo.batch_size=64 "
+    "--set ppo.hidden=[8] --set ppo.threads=1 --set imitation.steps=512 --set imitation.num_envs=4"
+)
+SAC = (
+    "--bank mini --set num_envs=4 --set batch_size=32 --set hidden=[8] --set random_steps=800 --set threads=1 "
+    "--set validation_steps=512 --set validation_episodes=2"
+)
+WARP = "--bank mini --set num_envs=16 --set rollout_steps=32 --set hidden=[8]"
 COMMANDS: Mapping[str, str] = MappingProxyType(
     {
-        "simulate": "simulate OUT --length 0.2",
+        "simulate": "simulate OUT --length 0.1",
         "import": "import RECORDING --out OUT",
         "reconstruct": "reconstruct RECORDING --out OUT --points 2000 --faces 1500",
         "shapes": "shapes CLOUD --out OUT",
         "build": "build RECORDING --out OUT --name b --set max_targets=3",
         "rate": "rate mini --robot iiwa14 --out OUT",
-        "train": f"train ppo --out OUT --steps 1024 {PPO}",
+        "compose": "bank compose mini --out OUT --scenes 3",
+        "brush": "brush mini --out OUT",
+        "train": f"train ppo --out OUT --steps 8192 {PPO}",
+        "train-bc": f"train bc-then-ppo --out OUT {BC}",
+        "train-sac": f"train sac-her --out OUT --steps 1024 {SAC}",
+        "train-warp": f"train ppo --backend warp --out OUT --steps 8192 {WARP}",
         "sweep": f"sweep --out OUT --try seed=0 --try seed=1 --set total_steps=256 {PPO}",
         "demonstrations": "demonstrations roadmap --bank mini --out OUT --episodes 8",
         "submit": "submit random --out OUT --episodes 6 --track reconstruction",
@@ -54,7 +68,7 @@ class Whole:
     def assert_it_resumes(self, out: Path) -> None:
         words = arguments(self.name, self.folder, out)
         again = self.commands.run(*words)
-        from_checkpoint = self.name == "train" and again.status != 0  # which is never overwritten unasked
+        from_checkpoint = self.name.startswith("train") and again.status != 0  # which is never overwritten unasked
         if from_checkpoint:
             again = self.commands.run(*words, "--resume")
         assert again.status == 0, again.printed

@@ -166,7 +166,6 @@ def check_agent(agent: object) -> None:
     Raises:
         InvalidValueError: It is a class, or lacks an attribute of an agent.
     """
-    called = getattr(agent, "name", type(agent).__name__)
     if isinstance(agent, type):
         raise InvalidValueError(f"{agent.__name__} is a class: an agent is an object, such as {agent.__name__}()")
     kinds: dict[str, Callable[[object], bool]] = {
@@ -175,8 +174,17 @@ def check_agent(agent: object) -> None:
         "reset": callable,
         "act": callable,
     }
-    for attribute, fits in kinds.items():
-        if not fits(getattr(agent, attribute, None)):
+    found: dict[str, object] = {}
+    for attribute in kinds:
+        try:
+            found[attribute] = getattr(agent, attribute, None)
+        except KeyboardInterrupt:
+            raise
+        except BaseException:  # of its own code: the attribute exists; its error is raised where it is needed
+            continue
+    for attribute, value in found.items():
+        if not kinds[attribute](value):
+            called = found.get("name") if isinstance(found.get("name"), str) else type(agent).__name__
             raise InvalidValueError(
                 f"{called!r} is no agent: its {attribute!r} is missing or of the wrong type; an agent has a name, "
                 "env_options (a mapping), reset(problem) and act(observation)"

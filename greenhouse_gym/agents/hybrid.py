@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.agents.agent import Agent, NamedAgent, Problem
+from greenhouse_gym.agents.agent import Agent, NamedAgent, Problem, check_agent
 from greenhouse_gym.agents.planner_agent import PlannerAgent
 from greenhouse_gym.agents.policy_agent import BEST, PolicyAgent
 from greenhouse_gym.envs import make_env
-from greenhouse_gym.envs.worlds import capacity_for
+from greenhouse_gym.envs.world import capacity_for
 
 MAX_CHECKS, ATTEMPTS = 300_000, 4
 """Collision checks of one plan, and number of attempts. Hard targets of the validation rows for which 100,000 checks
@@ -40,10 +40,14 @@ class HybridAgent(NamedAgent):
 
     def __init__(self, policy: Agent | None = None, planner: Agent | None = None, name: str = "hybrid"):
         self.name = name
-        self._policy: Agent = policy or PolicyAgent.load(BEST)
-        self._planner: Agent = planner or PlannerAgent(
-            unknown="free", margin=0.0, max_checks=MAX_CHECKS, attempts=ATTEMPTS
+        self._policy: Agent = PolicyAgent.load(BEST) if policy is None else policy
+        self._planner: Agent = (
+            PlannerAgent(unknown="free", margin=0.0, max_checks=MAX_CHECKS, attempts=ATTEMPTS)
+            if planner is None
+            else planner
         )
+        for agent in (self._policy, self._planner):
+            check_agent(agent)
         self.env_options: Mapping[str, Any] = {**self._planner.env_options, **self._policy.env_options}
         self.status = ""
         self._acting: Agent = self._policy

@@ -14,7 +14,7 @@ from greenhouse_gym.agents.harvester import OracleHarvester
 from greenhouse_gym.agents.hybrid import HybridAgent
 from greenhouse_gym.agents.looking import FixedViewsAgent, NextBestViewAgent, RandomViewsAgent
 from greenhouse_gym.agents.planner_agent import PlannerAgent
-from greenhouse_gym.agents.policy import Policy, description_path
+from greenhouse_gym.agents.policy import description_path
 from greenhouse_gym.agents.policy_agent import PolicyAgent, shipped_policies
 from greenhouse_gym.agents.scan_harvester import ScanHarvester
 from greenhouse_gym.agents.shield import ShieldedAgent
@@ -38,8 +38,10 @@ _LONGEST_NAME = 1000  # characters; longer paths are errors of the system
 
 def _training(path: Path) -> Path | None:
     """Return the folder of a training, given the folder or its checkpoint; None for anything else."""
-    folder = path.parent if path.name == _CHECKPOINT else path
-    return folder if (folder / _CHECKPOINT).is_file() else None
+    if path.name == _CHECKPOINT:
+        return path.parent if path.is_file() else None
+    files = (path / _CHECKPOINT, description_path(path / "policy"))  # trainings on Warp have no checkpoint
+    return path if any(file.is_file() for file in files) else None
 
 
 def agent_of(agent: Agent | str) -> Agent:
@@ -81,7 +83,7 @@ def make_agent(name: str) -> Agent:
         return PolicyAgent.load(name)
     if training := _training(Path(name)):
         if description_path(training / "policy").is_file():
-            return PolicyAgent(Policy.load(training / "policy"), training.resolve().name)
+            return PolicyAgent.load(training)
         # by name, because that package imports this one
         load: Callable[[Path], Agent] = resolve_name("greenhouse_gym.learning:TrainedAgent")
         return load(training)

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from greenhouse_gym.agents.agent import NamedAgent, Problem
 from greenhouse_gym.envs.actions import INTERVAL, joint_steps
-from greenhouse_gym.errors import check_whole, require_choice
+from greenhouse_gym.errors import check_flag, check_whole, require_choice
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.collision import LEAVES
 from greenhouse_gym.motion.unknown_space import guarded
@@ -166,8 +166,8 @@ class PlannerAgent(NamedAgent):
         leaves: str | None = None,
     ):
         self.planner, self.unknown, self.margin = PLANNERS[planner].name, unknown, margin
-        self.settings = PLANNERS[planner].with_settings(settings or {})
-        self.unexplained, self.fallback = unexplained, fallback
+        self.settings = PLANNERS[planner].with_settings({} if settings is None else settings)
+        self.unexplained, self.fallback = check_flag("unexplained", unexplained), check_flag("fallback", fallback)
         self.leaves = leaves if leaves is None else require_choice("leaves", leaves, LEAVES)
         self.time_limit, self.max_checks, self.goals = time_limit, max_checks, goals
         self.name, self.attempts = name or planner, check_whole("attempts", attempts, 1)

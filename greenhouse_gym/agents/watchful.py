@@ -16,7 +16,7 @@ from greenhouse_gym.agents.local_map import LocalMap
 from greenhouse_gym.agents.occupancy_map import wrist_reading
 from greenhouse_gym.agents.viewpoints import DEPTHS, NOISY_DEPTHS, initial_view, viewpoints, visible
 from greenhouse_gym.envs.image_observations import DepthObservation
-from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.errors import InvalidValueError, check_flag, check_items
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.arm_spheres import arm_spheres
 from greenhouse_gym.motion.caution import (
@@ -107,14 +107,17 @@ class WatchfulAgent(NamedAgent):
         image: tuple[int, int] = IMAGE,
         noisy: bool = False,
     ) -> None:
-        if not depth >= 0:
+        if not (isinstance(depth, int | float | np.floating) and depth >= 0):
             raise InvalidValueError(f"depth must be 0 m or more, got {depth!r}")
-        if len(image) != 2:
+        size = check_items("image", image, "a width and a height, pixels")
+        if len(size) != 2:
             raise InvalidValueError(f"image must be a width and a height, pixels, got {image!r}")
+        check_flag("unexplained", unexplained)
+        check_flag("noisy", noisy)
         self.status = ""
         self._levels = caution_levels(check_margin(margin), unexplained, depth)
         self._heed_unexplained, self._noisy = unexplained, noisy
-        self.env_options: Mapping[str, Any] = {"observation": DepthObservation(DepthCamera("wrist", *image))}
+        self.env_options: Mapping[str, Any] = {"observation": DepthObservation(DepthCamera("wrist", *size))}
         self._problem: Problem | None = None
         self._episode: _Episode | None = None
 

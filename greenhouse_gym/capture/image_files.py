@@ -128,7 +128,7 @@ def decode(source: object, data: bytes, mode: int, foreign: bool = False) -> npt
         FileFormatError: It is no such image, damaged, or too large.
     """
     if data.startswith(PNG_START):
-        kind, size, whole = "PNG", _png_size(data), data.endswith(b"IEND\xaeB`\x82")
+        kind, size, whole = "PNG", _png_size(data), _png_is_whole(data)
     elif data.startswith(_JPEG_START):
         kind, size, whole = "JPEG", _jpeg_size(data), b"\xff\xd9" in data.rstrip(b"\0")[-64:]
         if data.count(b"\xff\xda") > _MAX_SCANS:
@@ -168,6 +168,15 @@ def _png_size(data: bytes) -> _Size | None:
         return None
     width, height = int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
     return _Size(width, height, _PNG_CHANNELS.get(data[25], 4) * (2 if data[24] > 8 else 1))
+
+
+def _png_is_whole(data: bytes) -> bool:
+    """Return whether a PNG file holds its chunks whole; OpenCV allocates the length that each claims."""
+    at, kind = len(PNG_START), b""
+    while at + 12 <= len(data) and kind != b"IEND":
+        length, kind = int.from_bytes(data[at : at + 4], "big"), data[at + 4 : at + 8]
+        at += 12 + length
+    return kind == b"IEND" and at <= len(data)
 
 
 def _jpeg_size(data: bytes) -> _Size | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -91,7 +92,7 @@ def compare(
 
     from greenhouse_gym.agents.named import make_agent
     from greenhouse_gym.agents.policy_agent import BEST
-    from greenhouse_gym.common.files import remove_folder, write_atomically
+    from greenhouse_gym.common.files import exclusive, remove_folder, write_atomically
     from greenhouse_gym.errors import require_choice
     from greenhouse_gym.evaluation import compare as run
     from greenhouse_gym.evaluation.journal import journal_in
@@ -106,44 +107,46 @@ def compare(
     shared: dict[str, Any] = {"timeout": timeout}
     shared |= given(robot=robot, task=task, difficulty=comma_separated(difficulty), scene=scene, target=target)
     rules = {name: {"bank": bank, "split": split, "seed": seed, **TRACKS[name], **shared} for name in tracks}
-    journals: dict[tuple[str, str], RecordJournal] = {}
+    folder = None if report is None else report.with_name(f"{report.name}.journal")
     if report is not None:
         _require_report(report)
-        folder = report.with_name(f"{report.name}.journal")
-        for name, (label, agent) in product(tracks, chosen.items()):
-            journals[name, label] = journal_in(folder, agent, made_from[label], **rules[name])
-    finished: dict[str, list[Evaluation]] = {}
-    complete = False
-    try:
-        for name in tracks:
-            evaluations = finished[name] = []
-            try:
-                with executor_of(backend, workers, address) as executor:
-                    for label, agent in chosen.items():
-                        spread: dict[str, Any] = {
-                            "num_envs": num_envs,
-                            "executor": executor,
-                            "journal": journals.get((name, label)),
-                        }
-                        (found,) = run([agent], episodes=episodes, **rules[name], **spread)
-                        evaluations.append(replace(found, agent=label))
-            finally:
-                if evaluations:
-                    say(f"track {name}: bank {bank}, split {split}, {episodes} episodes from seed {seed} on\n")
-                    print_comparison(evaluations)
-        complete = True
-    finally:
-        results = {name: found for name, found in finished.items() if any(e.records for e in found)}
-        if report is not None and results:
-            from greenhouse_gym.reporting.comparison import comparison_report
+    with nullcontext() if folder is None else exclusive(folder):
+        journals: dict[tuple[str, str], RecordJournal] = {}
+        if folder is not None:
+            for name, (label, agent) in product(tracks, chosen.items()):
+                journals[name, label] = journal_in(folder, agent, made_from[label], **rules[name])
+        finished: dict[str, list[Evaluation]] = {}
+        complete = False
+        try:
+            for name in tracks:
+                evaluations = finished[name] = []
+                try:
+                    with executor_of(backend, workers, address) as executor:
+                        for label, agent in chosen.items():
+                            spread: dict[str, Any] = {
+                                "num_envs": num_envs,
+                                "executor": executor,
+                                "journal": journals.get((name, label)),
+                            }
+                            (found,) = run([agent], episodes=episodes, **rules[name], **spread)
+                            evaluations.append(replace(found, agent=label))
+                finally:
+                    if evaluations:
+                        say(f"track {name}: bank {bank}, split {split}, {episodes} episodes from seed {seed} on\n")
+                        print_comparison(evaluations)
+            complete = True
+        finally:
+            results = {name: found for name, found in finished.items() if any(e.records for e in found)}
+            if report is not None and results:
+                from greenhouse_gym.reporting.comparison import comparison_report
 
-            title = f"Comparison of {', '.join(chosen)}"
-            # without episodes first: running them again may fail or take long
-            for shown in ({}, chosen) if complete else ({},):
-                write_atomically(report, comparison_report(title, results, shown, split, bank, **shared))
-            if complete:
-                remove_folder(folder)
-            say(f"report in {report}")
+                title = f"Comparison of {', '.join(chosen)}"
+                # without episodes first: running them again may fail or take long
+                for shown in ({}, chosen) if complete else ({},):
+                    write_atomically(report, comparison_report(title, results, shown, split, bank, **shared))
+                if complete and folder is not None:
+                    remove_folder(folder)
+                say(f"report in {report}")
 
 
 def _require_report(path: Path) -> None:

@@ -19,6 +19,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import MappingProxyType
+from typing import TextIO
 
 from pydantic import ValidationError
 
@@ -199,56 +200,69 @@ def first_fault(error: ValidationError) -> str:
 
 
 @contextmanager
-def exclusive(folder: str | Path, parts: str = "") -> Iterator[None]:
-    """Lock a folder for this process; it is created if missing.
+def exclusive(folder: str | Path, parts: str = "", only: str = "", wait: bool = False) -> Iterator[None]:
+    """Lock a folder, or a file in it, for this process; the folder is created if missing.
 
-    The file ``.lock`` in it holds the number of the process and is locked meanwhile; the lock ends with the process,
-    however that ends. Temporary files that a killed process left behind are removed.
+    The file ``.lock``, or ``.NAME.lock``, in it holds the number of the process and is locked meanwhile; the lock ends
+    with the process, however that ends. Temporary files that a killed process left behind are removed.
 
     Args:
         folder: The folder.
         parts: Pattern of the subfolders that belong to it, such as ``"*/*/"``; others may have holders of their own.
+        only: Name of the file to lock; the whole folder if empty.
+        wait: True to wait while another process holds the lock.
 
     Raises:
         FileWriteError: The folder cannot be created or written, or another process holds it.
     """
-    path = Path(folder) / ".lock"
+    prefix = f".{only}." if only else "."
+    path = Path(folder) / f"{prefix}lock"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        file = path.open("a+")
+        file, held = _locked(path, wait)
     except OSError as error:
         raise FileWriteError(folder, error) from error
     with file:
-        try:
-            _lock(file.fileno())
-            same = path.stat().st_ino == os.fstat(file.fileno()).st_ino  # not removed by its last holder in between
-        except OSError:
-            same = False
-        if not same:
+        if not held:
             file.seek(0)
             holder = f": {text}" if (text := file.read(200)) else ""
-            raise FileWriteError(folder, OSError(f"another process is at work in this folder{holder}"))
+            what = f"another process is at work {'on this file' if only else 'in this folder'}{holder}"
+            raise FileWriteError(Path(folder) / only, OSError(what))
         try:
             file.truncate(0)
             file.write(f"process {os.getpid()}")
             file.flush()
-            for leftover in (*path.parent.glob(f".*{_TEMPORARY}"), *path.parent.glob(f"{parts}.*{_TEMPORARY}")):
+            for leftover in (*path.parent.glob(f"{prefix}*{_TEMPORARY}"), *path.parent.glob(f"{parts}.*{_TEMPORARY}")):
                 shutil.rmtree(leftover) if leftover.is_dir() else leftover.unlink(missing_ok=True)
             yield
         finally:
             path.unlink(missing_ok=True)
 
 
-def _lock(handle: int) -> None:
+def _locked(path: Path, wait: bool) -> tuple[TextIO, bool]:
+    """Open a lock file and try to lock it; return the file, and whether this process holds the lock."""
+    while True:
+        file = path.open("a+")
+        try:
+            _lock(file.fileno(), wait)
+            held = path.stat().st_ino == os.fstat(file.fileno()).st_ino  # not removed by its last holder in between
+        except OSError:
+            held = False
+        if held or not wait:
+            return file, held
+        file.close()
+
+
+def _lock(handle: int, wait: bool) -> None:
     """Lock an open file; raise `OSError` where another process holds the lock."""
     if sys.platform == "win32":
         import msvcrt
 
-        msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
+        msvcrt.locking(handle, msvcrt.LK_LOCK if wait else msvcrt.LK_NBLCK, 1)
     else:
         import fcntl
 
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
 
 
 def require_writable(path: str | Path) -> None:

@@ -10,8 +10,8 @@ import importlib
 import importlib.util
 import json
 import sys
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, is_dataclass
 from importlib.machinery import PathFinder
 from pathlib import Path
@@ -21,10 +21,42 @@ from typing import Any
 from pydantic import PydanticUserError, TypeAdapter, ValidationError
 
 from greenhouse_gym.common.files import first_fault
-from greenhouse_gym.errors import FileFormatError, InvalidValueError, UnknownNameError
+from greenhouse_gym.errors import FileFormatError, GreenhouseError, InvalidValueError, UnknownNameError
 
 CLASS = "class"
 """Key of the class in the mapping of an instance."""
+
+MAX_MESSAGE = 1000
+"""Number of characters of an error's message that records hold."""
+
+
+@contextmanager
+def failing_as(error_of: Callable[[str], GreenhouseError]) -> Iterator[None]:
+    """Turn whatever a user's code raises, `SystemExit` included, into an error of the package.
+
+    Args:
+        error_of: Makes the error of the description of the user's.
+    """
+    try:
+        yield
+    except (GreenhouseError, KeyboardInterrupt):
+        raise
+    except BaseException as error:
+        raise error_of(describe(error)) from error
+
+
+def describe(error: BaseException) -> str:
+    """Return an error's type and message as text that can always be printed and stored."""
+    try:
+        message = str(error) or ("there is not enough memory" if isinstance(error, MemoryError) else "")
+    except (Exception, SystemExit):
+        message = "its message cannot be printed"
+    return printable(f"{type(error).__name__}: {message}")
+
+
+def printable(text: str) -> str:
+    """Return a text of bounded length without characters that cannot be encoded."""
+    return text[:MAX_MESSAGE].encode(errors="replace").decode()
 
 
 def is_own(choice: object) -> bool:
@@ -68,16 +100,15 @@ def make(found: Any, reference: str, arguments: Mapping[str, Any]) -> Any:
     Raises:
         InvalidValueError: It does not take the arguments.
     """
-    try:
-        if is_dataclass(found):
-            with suppress(PydanticUserError):  # its types are not known to pydantic, or belong to a file's own names
-                return TypeAdapter(found).validate_python(arguments)
-        return found(**arguments)
-    except ValidationError as error:
-        raise InvalidValueError(f"{reference}: {first_fault(error)}") from error
-    except TypeError as error:
-        given = f"with arguments {dict(arguments)}" if arguments else "without arguments"
-        raise InvalidValueError(f"{reference} cannot be made {given}: {error}") from error
+    given = f"with arguments {dict(arguments)}" if arguments else "without arguments"
+    with failing_as(lambda problem: InvalidValueError(f"{reference} cannot be made {given}: {problem}")):
+        try:
+            if is_dataclass(found):
+                with suppress(PydanticUserError):  # types unknown to pydantic, or of a file's own names
+                    return TypeAdapter(found).validate_python(arguments)
+            return found(**arguments)
+        except ValidationError as error:
+            raise InvalidValueError(f"{reference}: {first_fault(error)}") from error
 
 
 def described(own: Any) -> Any:
@@ -145,10 +176,8 @@ def _load(reference: str, kind: str, is_candidate: Callable[[object], bool]) -> 
 
 def _from_path(module: str) -> ModuleType:
     _find_modules_in(Path.cwd())  # a command does not look there by itself
-    try:
+    with failing_as(lambda problem: InvalidValueError(f"module {module!r} cannot be imported: {problem}")):
         return importlib.import_module(module)
-    except Exception as error:  # any error in the user's code
-        raise InvalidValueError(f"module {module!r} cannot be imported: {error}") from error
 
 
 def _from_file(file: str, kind: str) -> ModuleType:
@@ -165,9 +194,8 @@ def _from_file(file: str, kind: str) -> ModuleType:
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module  # only while it runs: dataclasses look it up, but workers could not import it
     try:
-        spec.loader.exec_module(module)
-    except Exception as error:  # any error in the user's code
-        raise FileFormatError(file, f"cannot be run: {type(error).__name__}: {error}") from error
+        with failing_as(lambda problem: FileFormatError(file, f"cannot be run: {problem}")):
+            spec.loader.exec_module(module)
     finally:
         del sys.modules[spec.name]
     return module

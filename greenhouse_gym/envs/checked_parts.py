@@ -22,7 +22,17 @@ from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
 
 
-class CheckedObservation(ObservationSpec):
+class OwnPart:
+    """Observation or action of a user.
+
+    Attributes:
+        run: Calls a function with its arguments, within limits for the user's code if there are any.
+    """
+
+    run: Callable[..., Any] = staticmethod(lambda function, *arguments: function(*arguments))
+
+
+class CheckedObservation(OwnPart, ObservationSpec):
     """Observation of a user, with checks."""
 
     def __init__(self, own: Any):
@@ -44,6 +54,9 @@ class CheckedObservation(ObservationSpec):
 
     def __call__(self, state: State) -> Observed:
         """Return checked copies of its observations."""
+        return self.run(self._observed, state)  # type: ignore[no-any-return]
+
+    def _observed(self, state: State) -> Observed:
         observed, count = self._own(state), len(state.joints)
         if not isinstance(self.space, spaces.Dict):
             return self._part("", observed, count)
@@ -67,7 +80,7 @@ class CheckedObservation(ObservationSpec):
         return array
 
 
-class CheckedAction:
+class CheckedAction(OwnPart):
     """Kind of action of a user, with checks."""
 
     def __init__(self, own: Any, joints: int):
@@ -78,14 +91,12 @@ class CheckedAction:
 
     def __call__(self, action: Array, state: State, motion: ToolMotion) -> Array:
         """Return the checked changes of the commands."""
+        return self.run(self._change, action, state, motion)  # type: ignore[no-any-return]
+
+    def _change(self, action: Array, state: State, motion: ToolMotion) -> Array:
         change = _array(self._name, self._own(action, state, motion), (len(action), self._joints))
         _check_finite(self._name, change)
         return change.astype(np.float64)
-
-
-def is_of_user(part: object) -> bool:
-    """Return whether an observation or an action is a user's, not one of the package."""
-    return isinstance(part, CheckedObservation | CheckedAction)
 
 
 class CheckedReward:

@@ -10,7 +10,7 @@ from typing import Any
 
 from gymnasium import spaces
 
-from greenhouse_gym.common.own_code import is_own, load_own, make
+from greenhouse_gym.common.own_code import failing_as, is_own, load_own, make
 from greenhouse_gym.envs.actions import ACTIONS, ActionChoice, ActionRule
 from greenhouse_gym.envs.checked_parts import (
     CheckedAction,
@@ -172,10 +172,8 @@ def _made(kind: str, own: Any, *arguments: Any) -> Any:
             raise InvalidValueError(
                 f"{kind} {name_of(own)} must be an object or a function of {given} that makes one: {error}"
             ) from error
-        try:
+        with failing_as(lambda problem: InvalidValueError(f"{kind} {name_of(own)} cannot be made: {problem}")):
             made = own(*arguments)
-        except Exception as error:  # any error in the user's code
-            raise InvalidValueError(f"{kind} {name_of(own)} cannot be made: {type(error).__name__}: {error}") from error
     else:
         made = own
     if not callable(made) or not isinstance(getattr(made, "space", None), spaces.Space):

@@ -12,10 +12,8 @@ from queue import Empty, SimpleQueue
 from threading import TIMEOUT_MAX, Thread
 from typing import ParamSpec, TypeVar
 
+from greenhouse_gym.common.own_code import describe
 from greenhouse_gym.errors import InvalidValueError, is_number
-
-MAX_MESSAGE = 1000
-"""Number of characters of an error's message that records hold."""
 
 _FREE = nullcontext()
 _SECONDS_TO_END = 1.0
@@ -127,17 +125,3 @@ class Watchdog:
 
     def __exit__(self, *_: object) -> None:
         self._set(0.0)
-
-
-def describe(error: BaseException) -> str:
-    """Return an error's type and message as text that can always be printed and stored."""
-    try:
-        message = str(error) or ("there is not enough memory" if isinstance(error, MemoryError) else "")
-    except (Exception, SystemExit):
-        message = "its message cannot be printed"
-    return printable(f"{type(error).__name__}: {message}")
-
-
-def printable(text: str) -> str:
-    """Return a text of bounded length without characters that cannot be encoded."""
-    return text[:MAX_MESSAGE].encode(errors="replace").decode()

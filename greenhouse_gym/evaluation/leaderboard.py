@@ -12,15 +12,16 @@ from typing import Any
 
 from greenhouse_gym.agents import Agent
 from greenhouse_gym.common.executors import workers_of
-from greenhouse_gym.common.files import write_atomically
+from greenhouse_gym.common.files import exclusive, write_atomically
 from greenhouse_gym.common.tables import Table, number
 from greenhouse_gym.crops.crop import PlantMotion
 from greenhouse_gym.envs import Randomization
 from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.evaluation.asking import AskedAgent
 from greenhouse_gym.evaluation.entry import V1, Entry, Protocol, columns_of, follows, is_current, read_entry
 from greenhouse_gym.evaluation.journal import RecordJournal, checksum_of, package_versions
 from greenhouse_gym.evaluation.records import Evaluation, Record
-from greenhouse_gym.evaluation.rollouts import AGENTS_CHOICE, changed_rules, declares_truth, evaluate, shown_rules
+from greenhouse_gym.evaluation.rollouts import AGENTS_CHOICE, changed_rules, evaluate, shown_rules
 from greenhouse_gym.scene import DIFFICULTIES, SceneBank
 
 __all__ = [
@@ -79,6 +80,7 @@ def submit(
     Raises:
         InvalidValueError: No track is given, or an unknown one; or the agent's ``env_options`` change the rules.
         FileFormatError: The existing entry is damaged.
+        FileWriteError: Another process runs such a track, or a file cannot be written.
     """
     if not tracks or not set(tracks) <= set(TRACKS):
         raise InvalidValueError(f"tracks must be some of {', '.join(TRACKS)}, got {', '.join(tracks) or 'none'}")
@@ -97,20 +99,24 @@ def submit(
     about = fresh.model_dump(include={"agent", "protocol", "bank_sha256", "versions"}) | {
         "sha256": checksum_of(agent, name)
     }
+    asked = AskedAgent.of(agent)
     for track in tracks:
-        changed = changed_rules(agent.name, agent.env_options, _settings(protocol, track))
-        _check_rules(agent.name, shown_rules(changed, declares_truth(agent)))
+        changed = changed_rules(asked.name, asked.env_options, _settings(protocol, track))
+        _check_rules(asked.name, shown_rules(changed, asked.knows_truth))
     for track in tracks:
-        journal = RecordJournal(path.with_suffix(f".{track}.jsonl"), {**about, "track": track})
-        evaluation = _run(agent, protocol, track, protocol.episodes, num_envs, executor, journal)
-        entry = _merged(path, fresh)  # other processes may have added tracks
-        machine = {f"{track}: {name}": value for name, value in _machine(num_envs, executor).items()}
-        added = {
-            "machine": {**entry.machine, **machine},
-            "tracks": {**entry.tracks, track: columns_of(evaluation.records)},
-        }
-        write_atomically(path, entry.model_copy(update=added).model_dump_json() + "\n")
-        journal.remove()
+        records = path.with_suffix(f".{track}.jsonl")
+        with exclusive(path.parent, only=records.name):
+            journal = RecordJournal(records, {**about, "track": track})
+            evaluation = _run(agent, protocol, track, protocol.episodes, num_envs, executor, journal)
+            machine = {f"{track}: {name}": value for name, value in _machine(num_envs, executor).items()}
+            with exclusive(path.parent, only=path.name, wait=True):
+                entry = _merged(path, fresh)  # other processes may have added tracks
+                added = {
+                    "machine": {**entry.machine, **machine},
+                    "tracks": {**entry.tracks, track: columns_of(evaluation.records)},
+                }
+                write_atomically(path, entry.model_copy(update=added).model_dump_json() + "\n")
+            journal.remove()
     return path
 
 
@@ -199,7 +205,7 @@ def _run(
         journal=journal,
         **_settings(protocol, track),
     )
-    _check_rules(agent.name, evaluation.rules)
+    _check_rules(evaluation.agent, evaluation.rules)
     return evaluation
 
 

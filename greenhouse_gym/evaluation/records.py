@@ -33,7 +33,7 @@ class Record:
         contact: Names of the two geoms of the first contact, the arm's first; empty without a contact.
         steps: Actions taken.
         planning_time: Time that the agent took at the start of the episode, seconds.
-        action_time: Mean time that the agent took per action, seconds.
+        action_time: Mean time that the agent took per action, with its own observation and kind of action, seconds.
         joint_length: Length of the joint path, radians (Euclidean norm).
         tip_length: Length of the tip's path, metres.
         clearance: Smallest distance between the arm and any obstacle except the target at the ends of the actions,

@@ -16,18 +16,25 @@ from typing import Any
 import numpy as np
 
 from greenhouse_gym.agents import Agent
-from greenhouse_gym.agents.agent import knows_truth
 from greenhouse_gym.agents.named import agent_of
 from greenhouse_gym.common.executors import WorkerLostError, completed, require_portable, workers_of
-from greenhouse_gym.common.own_code import described
+from greenhouse_gym.common.own_code import described, printable
 from greenhouse_gym.common.progress import progress as progress_of
 from greenhouse_gym.envs import EnvSettings, make_vec_env
 from greenhouse_gym.envs.choices import make_task
-from greenhouse_gym.errors import InvalidValueError, UnknownKeywordError, check_items, check_whole, require_seed
-from greenhouse_gym.evaluation.deadline import Deadline, describe, printable
+from greenhouse_gym.errors import (
+    InvalidValueError,
+    UnknownKeywordError,
+    check_flag,
+    check_items,
+    check_whole,
+    require_seed,
+)
+from greenhouse_gym.evaluation.asking import AgentError, AskedAgent, never_acted
+from greenhouse_gym.evaluation.deadline import Deadline
 from greenhouse_gym.evaluation.journal import RecordJournal
 from greenhouse_gym.evaluation.records import Evaluation, Evaluations, Record
-from greenhouse_gym.evaluation.runner import AgentError, EpisodeRunner, never_acted
+from greenhouse_gym.evaluation.runner import EpisodeRunner
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import Robot
 
@@ -57,7 +64,8 @@ def evaluate(
     """Run an agent over episodes drawn from a split.
 
     An agent fails if it raises an error, returns an invalid action or times out. A failure before the first valid
-    action raises an error; a later one ends the episode, which then counts as unsuccessful and records the reason.
+    action raises an error, as any failure of its own observation or kind of action does; a later one ends the episode,
+    which then counts as unsuccessful and records the reason.
 
     Args:
         agent: The agent, or a name that `greenhouse_gym.agents.make_agent` takes; its ``env_options`` are keywords of
@@ -71,7 +79,8 @@ def evaluate(
             then ignored.
         num_envs: Number of episodes run in parallel. Each runs a copy of the agent, unless the agent has ``act_many``.
             Only recorded times depend on it.
-        timeout: Time limit in seconds for preparing an episode and for each action; None for no limit. After a timeout,
+        timeout: Time limit in seconds for preparing an episode, for each action, and for each use of the agent's own
+            observation or kind of action; None for no limit. After a timeout,
             the episode is lost and a copy of the agent continues, a few times at most and only if it can be copied.
         executor: Runs batches of episodes, each with a new copy of the agent; None runs all of them in this process.
             Only recorded times depend on it.
@@ -82,26 +91,26 @@ def evaluate(
     Raises:
         InvalidValueError: An argument is invalid, an option contradicts the agent's ``env_options``, or the agent or an
             option cannot be sent to the executor's processes.
-        AgentError: The agent failed before its first valid action; with an executor, in the first episode.
+        AgentError: The agent failed before its first valid action (with an executor, in the first episode), or its own
+            observation or kind of action did.
         WorkerLostError: A process of the executor died.
     """
-    num_envs = check_whole("num_envs", num_envs, 1)
+    num_envs, progress = check_whole("num_envs", num_envs, 1), check_flag("progress", progress)
     for name, given, kind in (("executor", executor, Executor), ("journal", journal, RecordJournal)):
         if not isinstance(given, kind | None):
             raise InvalidValueError(f"{name} must be an object of {kind.__name__} or None, got {given!r}")
     Deadline(timeout)  # raises before anything is run
-    agent, seed, chosen = agent_of(agent), require_seed(seed), _chosen(episodes, problems)
-    own = dict(agent.env_options)
-    changed = changed_rules(agent.name, own, {**options, "split": split})
-    truth = declares_truth(agent)
+    asked, seed, chosen = AskedAgent.of(agent), require_seed(seed), _chosen(episodes, problems)
+    own = asked.env_options
+    changed = changed_rules(asked.name, own, {**options, "split": split})
     ended = {} if journal is None else {k: record for k, record in journal.records.items() if k < len(chosen)}
     left = tuple((k, where) for k, where in enumerate(chosen) if k not in ended)
     choice = {key: own[key] for key in AGENTS_CHOICE if key in own}
     keywords = {**choice, **changed, **options, "split": split}
-    whole = _Part(agent, left, seed, num_envs, timeout, keywords, proven=bool(ended), knows_truth=truth)
-    rules = shown_rules(changed, truth)
+    whole = _Part(asked, left, seed, num_envs, timeout, keywords, proven=bool(ended))
+    rules = shown_rules(changed, asked.knows_truth)
     results = whole.records() if executor is None else _run_by(executor, whole)
-    with progress_of(f"episodes of {agent.name}", len(chosen), progress) as on_progress:
+    with progress_of(f"episodes of {asked.name}", len(chosen), progress) as on_progress:
         for k, record in results if left else ():
             ended[k] = replace(record, rules=rules)
             if journal is not None:
@@ -111,8 +120,8 @@ def evaluate(
     if executor is not None and records and records[0].failure and not records[0].steps:
         if journal is not None:
             journal.remove()  # the agent may be fixed before the next attempt
-        raise never_acted(agent, records[0].seed, records[0].failure)
-    return Evaluation(agent.name, records)
+        raise never_acted(asked.name, records[0].seed, records[0].failure)
+    return Evaluation(asked.name, records)
 
 
 def _chosen(episodes: int, problems: Sequence[tuple[str, int]] | None) -> list[dict[str, Any]]:
@@ -162,18 +171,6 @@ def changed_rules(agent: str, own: Mapping[str, Any], options: Mapping[str, Any]
     }
 
 
-def declares_truth(agent: Agent) -> bool:
-    """Return whether an agent declares that it knows the truth.
-
-    Raises:
-        AgentError: It fails to answer.
-    """
-    try:
-        return Deadline().call(knows_truth, agent)
-    except Exception as error:
-        raise AgentError(f"agent {agent.name!r} failed to say whether it knows_truth: {describe(error)}") from error
-
-
 def shown_rules(changed: Mapping[str, Any], truth: bool) -> str:
     """Return changed rules as text, such as "success_radius=1.0", including knowledge of the truth."""
     changed = {**changed, "knows_truth": True} if truth else changed
@@ -197,13 +194,15 @@ def compare(
     """
 
     def one(agent: Agent) -> Evaluation:
+        name = type(agent).__name__
         try:
+            name = AskedAgent.of(agent).name
             return evaluate(agent, split, episodes, seed, **options)
         except (AgentError, WorkerLostError) as error:
-            return Evaluation(agent.name, (), str(error))
+            return Evaluation(name, (), str(error))
 
     several = (agents,) if isinstance(agents, str) else check_items("agents", agents, "agents or their names")
-    return Evaluations([one(agent_of(agent)) for agent in several])
+    return Evaluations([one(agent) for agent in [agent_of(agent) for agent in several]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,12 +234,12 @@ def retrace(
         timeout: See `evaluate`.
         **options: Keywords of the environment; see `evaluate`.
     """
-    agent = agent_of(agent)
-    env = make_vec_env(1, **{**agent.env_options, **options, "split": split})
+    asked = AskedAgent.of(agent)
+    env = make_vec_env(1, **{**asked.env_options, **options, "split": split})
     try:
         numbers = check_items("seeds", seeds, "whole numbers")
         chosen = deque((require_seed(seed), dict[str, Any]()) for seed in numbers)
-        runner = EpisodeRunner(agent, env, chosen, 0, timeout, proven=True, knows_truth=knows_truth(agent))
+        runner = EpisodeRunner(asked, env, chosen, 0, timeout, proven=True)
         return tuple(Trace(result.record, env.simulation.robot, result.joints) for result in runner.run())
     finally:
         env.close()
@@ -251,25 +250,23 @@ class _Part:
     """Subset of an evaluation's episodes, which can be sent to another process.
 
     Attributes:
-        agent: The agent.
+        asked: The agent.
         chosen: Index and reset options of each episode.
         seed: Seed of episode 0.
         num_envs: Number of episodes run in parallel.
         timeout: See `evaluate`.
         keywords: Keywords of the environment.
         proven: The agent is known to give valid actions.
-        knows_truth: The agent declared that it knows the truth.
         workers: Number of processes that run such subsets; zero in this one.
     """
 
-    agent: Agent
+    asked: AskedAgent
     chosen: tuple[tuple[int, dict[str, Any]], ...]
     seed: int
     num_envs: int
     timeout: float | None
     keywords: dict[str, Any]
     proven: bool = False
-    knows_truth: bool = False
     workers: int = 0
 
     def records(self) -> Iterator[tuple[int, Record]]:
@@ -278,9 +275,8 @@ class _Part:
         env = make_vec_env(count, **self.keywords)
         try:
             runner = EpisodeRunner(
-                self.agent, env, deque(self.chosen), self.seed, self.timeout, self.proven, self.knows_truth,
-                self.workers,
-            )  # fmt: skip
+                self.asked, env, deque(self.chosen), self.seed, self.timeout, self.proven, self.workers
+            )
             yield from ((result.episode_index, result.record) for result in runner.run())
         finally:
             env.close()
@@ -292,7 +288,7 @@ class _Part:
 
 def _run_by(executor: Executor, whole: _Part) -> Iterator[tuple[int, Record]]:
     """Yield indices and records of all episodes, run in batches by an executor's workers."""
-    require_portable(executor, f"agent {whole.agent.name!r} with its options", whole)
+    require_portable(executor, f"agent {whole.asked.name!r} with its options", whole)
     chosen, workers = whole.chosen, workers_of(executor)
     size = max(whole.num_envs, math.ceil(len(chosen) / (_PARTS * workers)))
     whole = replace(whole, proven=True, workers=0 if isinstance(executor, ThreadPoolExecutor) else workers)
@@ -301,4 +297,4 @@ def _run_by(executor: Executor, whole: _Part) -> Iterator[tuple[int, Record]]:
         for records in completed(_Part.run, parts, executor):
             yield from records
     except WorkerLostError as error:
-        raise WorkerLostError(f"agent {whole.agent.name!r}: {error}") from error
+        raise WorkerLostError(f"agent {whole.asked.name!r}: {error}") from error

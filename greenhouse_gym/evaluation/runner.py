@@ -15,13 +15,16 @@ import numpy as np
 
 from greenhouse_gym.agents.agent import Agent, Problem
 from greenhouse_gym.common.memory import MemoryLimit
+from greenhouse_gym.common.own_code import describe, printable
 from greenhouse_gym.envs import GreenhouseVectorEnv
 from greenhouse_gym.envs.actions import check_actions
+from greenhouse_gym.envs.checked_parts import OwnPart
 from greenhouse_gym.envs.contacts import NAME_SEPARATOR
 from greenhouse_gym.envs.observations import Observed, select
 from greenhouse_gym.envs.simulation import Simulation
-from greenhouse_gym.errors import GreenhouseError, InvalidValueError
-from greenhouse_gym.evaluation.deadline import Deadline, Watchdog, describe, printable
+from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.evaluation.asking import AgentError, AskedAgent, never_acted
+from greenhouse_gym.evaluation.deadline import Deadline, Watchdog
 from greenhouse_gym.evaluation.records import Record
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.clearance import smallest_clearance
@@ -31,16 +34,7 @@ from greenhouse_gym.robots.kinematics import tool_chain, tool_state
 MAX_REPLACEMENTS = 3
 """Maximum number of timed-out agents that are replaced by a copy; each may keep a thread busy."""
 
-_GRACE = 10.0  # seconds beyond twice the time limit until a process that no longer answers is ended
-
-
-class AgentError(GreenhouseError, RuntimeError):
-    """Raised for an agent that fails before its first valid action."""
-
-
-def never_acted(agent: Agent, seed: int, failure: str) -> AgentError:
-    """Return the error for an agent that failed before its first action."""
-    return AgentError(f"agent {agent.name!r} failed before its first action (seed {seed}): {failure}")
+_GRACE = 10.0  # seconds beyond twice the time limit until a process that no longer answers is ended; or for a copy
 
 
 class EpisodeResult(NamedTuple):
@@ -98,33 +92,33 @@ class EpisodeRunner:
     """Runner of an agent's episodes in a vector environment; each starts as soon as a simulation is free.
 
     Args:
-        agent: The agent.
+        asked: The agent.
         env: The environment.
         chosen: Index and reset options of each episode.
         seed: Seed of episode 0.
         timeout: Time limit of each call of the agent, seconds; None for no limit. After a timeout, a copy of the agent
             runs the next episode, at most `MAX_REPLACEMENTS` times; after that, all remaining episodes fail.
         proven: The agent is known to give valid actions.
-        knows_truth: The agent declared that it knows the truth.
         workers: Number of processes like this one, which end if the agent hangs; zero for a process that must not.
     """
 
     def __init__(
         self,
-        agent: Agent,
+        asked: AskedAgent,
         env: GreenhouseVectorEnv,
         chosen: deque[tuple[int, dict[str, Any]]],
         seed: int,
         timeout: float | None,
         proven: bool = False,
-        knows_truth: bool = False,
         workers: int = 0,
     ):
-        self._agent, self._env, self._chosen, self._seed = agent, env, chosen, seed
+        agent = asked.agent
+        self._asked, self._env, self._chosen, self._seed = asked, env, chosen, seed
         self._simulation: Simulation = env.simulation
         self._space = env.simulation.action_space
-        self._shared = hasattr(agent, "act_many")
+        self._shared = asked.acts_on_many
         self._memory = MemoryLimit(1 / max(1, workers))
+        self._copying = None if timeout is None else max(timeout, _GRACE)
         self._limited = partial(Deadline, timeout, self._memory)
         if timeout is not None and workers:
             self._limited = partial(self._limited, watchdog=Watchdog(2 * timeout + _GRACE))
@@ -133,11 +127,15 @@ class EpisodeRunner:
         self._fresh: Agent | None = None  # copied after a timeout; an agent in use or hanging must not be
         if env.num_envs > 1 and not self._shared:
             self._fresh = agent
-            self._players = [_Player(_copy(agent), self._limited()) for _ in self._players]
+            self._players = [_Player(self._copy(agent), self._limited()) for _ in self._players]
         elif timeout is not None:
             with suppress(InvalidValueError):
-                self._fresh = _copy(agent)
-        self._proven, self._knows_truth = proven, knows_truth
+                self._fresh = self._copy(agent)
+        self._proven = proven
+        parts, self._spent = self._limited(), 0.0
+        for part in (self._simulation.observe, self._simulation.action_rule):
+            if isinstance(part, OwnPart):
+                part.run = partial(self._run_part, parts)
 
     def run(self) -> Iterator[EpisodeResult]:
         """Yield the results of all episodes in the order in which they end."""
@@ -167,9 +165,11 @@ class EpisodeRunner:
                     continue
                 return
             _, rewards, terminated, truncated, _ = env.step(actions)
+            spent, self._spent = self._spent / len(playing), 0.0
             for i in playing:
                 run = runs[i]
                 assert run is not None
+                run.action_time += spent
                 run.total_reward += float(rewards[i])
                 run.joints.append(self._simulation.joints[i].copy())
                 if terminated[i] or truncated[i]:
@@ -182,7 +182,7 @@ class EpisodeRunner:
         alone = np.arange(env.num_envs) == i
         env.reset(seed=[seed if mine else None for mine in alone], options={**where, "reset_mask": alone})
         player = self._player(i)
-        problem = Problem.of(self._simulation, i, seed, self._knows_truth)
+        problem = Problem.of(self._simulation, i, seed, self._asked.knows_truth)
         run = _Run(index, problem, player, joints=[self._simulation.joints[i].copy()])
         began = time.perf_counter()
         try:
@@ -198,7 +198,7 @@ class EpisodeRunner:
         if not player.deadline.expired or self._fresh is None or self._replaced == MAX_REPLACEMENTS:
             return player
         self._replaced += 1
-        other = _Player(_copy(self._fresh), self._limited())
+        other = _Player(self._copy(self._fresh), self._limited())
         self._players = [other if each is player else each for each in self._players]
         return other
 
@@ -243,10 +243,30 @@ class EpisodeRunner:
             self._proven = True
         run.action_time += time.perf_counter() - began
 
+    def _copy(self, agent: Agent) -> Agent:
+        try:
+            return Deadline(self._copying).call(copy.deepcopy, agent)
+        except Exception as error:
+            raise InvalidValueError(
+                f"agent {self._asked.name!r} cannot be copied for each simulation ({describe(error)}); "
+                "give it a method act_many(observations), or use num_envs=1"
+            ) from error
+
+    def _run_part(self, deadline: Deadline, function: Callable[..., Any], *arguments: Any) -> Any:
+        """Run the agent's own observation or action, without which no episode can go on, at the expense of its time."""
+        began = time.perf_counter()
+        try:
+            return deadline.call(function, *arguments)
+        except Exception as error:
+            what = "its own observation or action failed"
+            raise AgentError(f"agent {self._asked.name!r}: {what}: {describe(error)}") from error
+        finally:
+            self._spent += time.perf_counter() - began
+
     def _fail(self, run: _Run, error: Exception) -> None:
         run.failure = describe(error)
         if not self._proven:
-            raise never_acted(self._agent, run.problem.seed, run.failure) from error
+            raise never_acted(self._asked.name, run.problem.seed, run.failure) from error
 
     def _ended(self, runs: list[_Run | None], i: int) -> Iterator[EpisodeResult]:
         """Yield the result of a run whose agent failed."""
@@ -295,13 +315,3 @@ def _status(player: _Player) -> str:
         return printable(player.deadline.call(lambda: str(getattr(player.agent, "status", ""))))
     except Exception:
         return ""
-
-
-def _copy(agent: Agent) -> Agent:
-    try:
-        return Deadline().call(copy.deepcopy, agent)
-    except Exception as error:
-        raise InvalidValueError(
-            f"agent {agent.name!r} cannot be copied for each simulation ({describe(error)}); "
-            "give it a method act_many(observations), or use num_envs=1"
-        ) from error

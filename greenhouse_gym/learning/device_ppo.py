@@ -15,12 +15,12 @@ import numpy as np
 
 from greenhouse_gym.agents.policy import Policy
 from greenhouse_gym.common.extras import needs
-from greenhouse_gym.common.files import write_atomically
+from greenhouse_gym.common.files import exclusive, write_atomically
 from greenhouse_gym.common.progress import say
 from greenhouse_gym.envs.choices import step_limit_of
 from greenhouse_gym.envs.rewards import DenseReward
 from greenhouse_gym.envs.settings import EnvSettings
-from greenhouse_gym.errors import InvalidValueError, check_whole, require_seed
+from greenhouse_gym.errors import DivergedError, check_whole, require_seed
 from greenhouse_gym.learning.settings import DevicePpoSettings
 from greenhouse_gym.scene import SceneBank
 
@@ -29,7 +29,7 @@ with needs("train"):
     from torch import Tensor, nn
 
     from greenhouse_gym.learning.sb3_features import CENTERS_AND_SCALES
-    from greenhouse_gym.learning.training_files import CURVE, write_curve
+    from greenhouse_gym.learning.training_files import CHECKPOINT, CURVE, MAX_WEIGHT, check_folder, write_curve
 
 COLUMNS = ("steps", "seconds", "success_rate", "collision_rate", "return", "length", "learning_rate", "kl")
 """Columns of the learning curve."""
@@ -48,7 +48,7 @@ def train_ppo_on_device(
     """Train a policy on the Warp environment.
 
     ``out`` gets ``settings.json``, ``curve.csv`` (one line per report), and ``policy.json`` with
-    ``policy.safetensors``, also when the training is interrupted.
+    ``policy.safetensors``, written with each line, also when the training is interrupted.
 
     Args:
         settings: The settings.
@@ -61,38 +61,43 @@ def train_ppo_on_device(
 
     Raises:
         InvalidValueError: The folder holds a training, or the device is missing or lacks memory.
+        FileWriteError: The folder cannot be written, or another training is at work in it.
+        DivergedError: The weights are no longer finite, or explode; the last policy before that is kept.
         KeyboardInterrupt: The training was interrupted; its results are written.
     """
     require_seed(settings.seed)
     out = Path(out)
-    if (out / CURVE).exists():
-        raise InvalidValueError(f"{out} holds a training, which would be lost: choose another folder")
-    batch = settings.num_envs * settings.rollout_steps
-    check_whole("minibatches", settings.minibatches, 1, batch)
-    training = DevicePpo(settings)
-    write_atomically(out / "settings.json", json.dumps(asdict(settings), indent=1) + "\n")
-    rows: list[dict[str, float]] = []
-    began = shown = time.monotonic()
-    try:
-        over = False
-        while not over:
-            passed = max(training.steps / settings.total_steps, (time.monotonic() - began) / (time_limit or math.inf))
-            kl = training.iterate(max(0.0, 1 - passed))
-            now = time.monotonic()
-            over = training.steps >= settings.total_steps or (time_limit is not None and now - began > time_limit)
-            if over or now - shown > _SECONDS_BETWEEN_LINES:
-                shown = now
-                figures = {"steps": training.steps, "seconds": round(now - began, 2), **training.figures()}
-                rows.append({**figures, "learning_rate": training.learning_rate, "kl": kl})
-                write_curve(out / CURVE, COLUMNS, rows)
-                say(
-                    f"{training.steps:,} steps, {now - began:.0f} s: success {figures['success_rate']:.0%}, "
-                    f"collision {figures['collision_rate']:.0%}, return {figures['return']:.2f}"
-                )
-                on_progress(rows[-1])
-    finally:
-        path = training.policy().save(out / "policy")
-        training.env.close()
+    check_whole("minibatches", settings.minibatches, 1, settings.num_envs * settings.rollout_steps)
+    with exclusive(out):
+        check_folder(out / CHECKPOINT, dict, {}, "", resume=False)
+        training = DevicePpo(settings)
+        write_atomically(out / "settings.json", json.dumps(asdict(settings), indent=1) + "\n")
+        rows: list[dict[str, float]] = []
+        began = shown = time.monotonic()
+        try:
+            over = False
+            while not over:
+                now = time.monotonic()
+                passed = max(training.steps / settings.total_steps, (now - began) / (time_limit or math.inf))
+                kl = training.iterate(max(0.0, 1 - passed))
+                now = time.monotonic()
+                over = training.steps >= settings.total_steps or (time_limit is not None and now - began > time_limit)
+                if over or now - shown > _SECONDS_BETWEEN_LINES:
+                    shown = now
+                    figures = {"steps": training.steps, "seconds": round(now - began, 2), **training.figures()}
+                    rows.append({**figures, "learning_rate": training.learning_rate, "kl": kl})
+                    training.save(out)  # a process that is killed leaves it
+                    write_curve(out / CURVE, COLUMNS, rows)
+                    say(
+                        f"{training.steps:,} steps, {now - began:.0f} s: success {figures['success_rate']:.0%}, "
+                        f"collision {figures['collision_rate']:.0%}, return {figures['return']:.2f}"
+                    )
+                    on_progress(rows[-1])
+        finally:
+            try:
+                path = training.save(out)
+            finally:
+                training.env.close()
     return path
 
 
@@ -194,6 +199,19 @@ class DevicePpo:
         return {
             name: round(value / episodes, 5) if episodes else math.nan for name, value in zip(names, sums, strict=True)
         }
+
+    def save(self, out: Path) -> Path:
+        """Write the policy and return the path of its JSON file.
+
+        Raises:
+            DivergedError: Weights are not finite or explode; the policy written before is kept.
+        """
+        if not all(bool((weights.detach().abs() <= MAX_WEIGHT).all()) for weights in self.networks.parameters()):
+            raise DivergedError(
+                f"the training diverged within {self.steps:,} steps: weights are not finite or explode; what was "
+                f"written to {out} before is kept. A lower learning_rate may help"
+            )
+        return self.policy().save(out / "policy")
 
     def policy(self) -> Policy:
         """Return the mean of the actor as a policy."""

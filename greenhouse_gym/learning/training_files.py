@@ -51,6 +51,8 @@ def check_folder(
     if not marker.is_file():
         if resume:
             raise InvalidValueError(f"nothing to resume: {folder} holds no {marker.name}")
+        if (folder / CURVE).is_file():  # of a trainer that resumes nothing
+            raise InvalidValueError(f"{folder} holds a training, which would be lost: choose another folder")
         return
     before = read_settings()
     if not resume:

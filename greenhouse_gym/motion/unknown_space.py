@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from numbers import Real
 
 import mujoco
 import numpy as np
@@ -53,7 +54,7 @@ def depths_of(rule: str | float) -> tuple[float, ...]:
     if isinstance(rule, str):
         named = {"free": DEPTHS[-1:], "avoid": DEPTHS, "forbid": DEPTHS[:1]}
         return named[require_choice("unknown", rule, UNKNOWN_RULES)]
-    if not (rule == math.inf or (is_number(rule) and rule >= 0)):
+    if not (isinstance(rule, Real) and (is_number(rule) or rule == math.inf) and rule >= 0):
         raise InvalidValueError(f"unknown must be a rule or a depth of 0 m or more, got {rule!r}")
     return (float(rule),)
 

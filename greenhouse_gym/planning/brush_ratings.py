@@ -87,21 +87,23 @@ def brush_bank(
 
     Raises:
         InvalidValueError: ``out`` is the bank's own folder.
+        FileWriteError: It cannot be written, or another process is at work in it.
     """
-    opened, arm, folder = SceneBank.open(bank), get_robot(robot), new_folder(bank, out)
+    opened, arm, seed = SceneBank.open(bank), get_robot(robot), require_seed(seed)
     rated: list[tuple[Scene, str]] = []
-    for name in opened.names():
-        scene, path = opened.scene(name), folder / f"{name}.json"
-        source = {
-            "robot": arm.name,
-            "seed": require_seed(seed),
-            "scene_sha256": sha256(scene.model_dump_json().encode()).hexdigest(),
-        }
-        result = load_rated(path, source, BRUSH_RATING)
-        if result is None:
-            result = with_source(with_brush_certificates(scene, arm, seed), source, BRUSH_RATING)
-            result.save(path)
-        rated.append((result, opened.split_of(name)))
-        if on_progress is not None:
-            on_progress(len(rated))
-    return write_bank(folder, rated, folder.name, f"{opened.manifest.name}, rated with leaves that give way")
+    with new_folder(bank, out) as folder:
+        for name in opened.names():
+            scene, path = opened.scene(name), folder / f"{name}.json"
+            source = {
+                "robot": arm.name,
+                "seed": seed,
+                "scene_sha256": sha256(scene.model_dump_json().encode()).hexdigest(),
+            }
+            result = load_rated(path, source, BRUSH_RATING)
+            if result is None:
+                result = with_source(with_brush_certificates(scene, arm, seed), source, BRUSH_RATING)
+                result.save(path)
+            rated.append((result, opened.split_of(name)))
+            if on_progress is not None:
+                on_progress(len(rated))
+        return write_bank(folder, rated, folder.name, f"{opened.manifest.name}, rated with leaves that give way")

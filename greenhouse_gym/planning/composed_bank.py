@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from greenhouse_gym.common.files import exclusive
 from greenhouse_gym.errors import InvalidValueError, check_whole, require_seed
 from greenhouse_gym.motion.collision import CollisionChecker, planning_model
 from greenhouse_gym.planning.certify import certify_targets
@@ -93,7 +92,6 @@ class ComposedBank(SceneBank):
             InvalidValueError: ``out`` is the folder of the source.
             FileWriteError: It cannot be written, or another process writes it.
         """
-        folder = new_folder(self._source, out)
         source = {
             "bank_sha256": self._source.sha256,
             "robot_sha256": sha256(self._robot.path.read_bytes()).hexdigest(),
@@ -101,7 +99,7 @@ class ComposedBank(SceneBank):
             "targets": self._targets,
         }
         made: list[tuple[Scene, str]] = []
-        with exclusive(folder):
+        with new_folder(self._source, out) as folder:
             for name in self.names():
                 scene = load_rated(folder / f"{name}.json", source, COMPOSITION)
                 if scene is None:

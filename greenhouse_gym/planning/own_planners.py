@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from greenhouse_gym.common.own_code import describe
 from greenhouse_gym.errors import GreenhouseError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.collision import PROOF
@@ -125,8 +126,10 @@ def run_own_planner(solve: Solve, query: PlannerQuery) -> PlannerAnswer:
         path = None if result is None else np.array(result, dtype=np.float64)
     except OutOfBudget:
         path = None
-    except Exception as error:
-        raise PlannerFailedError(f"{type(error).__name__}: {error}") from error
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # any error in the user's code
+        raise PlannerFailedError(describe(error)) from error
     if path is None:
         path = problem.best
     elif path.ndim == 2:

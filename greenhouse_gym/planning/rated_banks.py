@@ -1,15 +1,16 @@
-"""Banks whose scenes are rated, for another arm or in another manner; an interrupted run resumes."""
+"""Banks whose scenes are rated again, for another arm or for leaves that give way; an interrupted run resumes."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from greenhouse_gym.common.files import resolved
+from greenhouse_gym.common.files import exclusive, resolved
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, require_seed
 from greenhouse_gym.motion.collision import CollisionChecker, planning_model
 from greenhouse_gym.planning.certify import certify_target, shoulder_distances
@@ -45,8 +46,9 @@ def rate_bank(
 
     Raises:
         InvalidValueError: ``out`` is the bank's own folder, or the arm's start is in collision in every scene.
+        FileWriteError: ``out`` cannot be written, or another process is at work in it.
     """
-    opened, arm, folder = SceneBank.open(bank), get_robot(robot), new_folder(bank, out)
+    opened, arm = SceneBank.open(bank), get_robot(robot)
     if per_scene is not None and per_scene < 1:
         raise InvalidValueError(f"per_scene must be at least 1 or None, got {per_scene!r}")
     checksum = sha256(arm.path.read_bytes()).hexdigest()
@@ -54,27 +56,28 @@ def rate_bank(
     rated: list[tuple[Scene, str]] = []
     blocked: list[str] = []
     done = 0
-    for name in opened.names():
-        scene = opened.scene(name)
-        source = {**rating, "scene_sha256": sha256(scene.model_dump_json().encode()).hexdigest()}
-        result = load_rated(folder / f"{name}.json", source)
-        if result is None:
-            compiled = compile_scene(scene, arm)
-            contacts = _start_contacts(compiled)
-            if contacts:
-                blocked.append(f"{name} ({contacts})")
-            targets: list[Target] = []
-            for tomato in _nearest(scene, per_scene):
-                targets.append(certify_target(compiled, tomato, seed))
-                if on_progress is not None:
-                    on_progress(done + len(targets))
-            result = _with_targets(scene, targets, source)
-            result.save(folder / f"{name}.json")
-        done += len(_nearest(scene, per_scene))
-        rated.append((result, opened.split_of(name)))
-    if blocked and len(blocked) == len(rated):
-        raise InvalidValueError(f"{arm.name} touches something at its start in every scene: {', '.join(blocked)}")
-    return write_bank(folder, rated, folder.name, f"{opened.manifest.name}, rated for {arm.name}")
+    with new_folder(bank, out) as folder:
+        for name in opened.names():
+            scene = opened.scene(name)
+            source = {**rating, "scene_sha256": sha256(scene.model_dump_json().encode()).hexdigest()}
+            result = load_rated(folder / f"{name}.json", source)
+            if result is None:
+                compiled = compile_scene(scene, arm)
+                contacts = _start_contacts(compiled)
+                if contacts:
+                    blocked.append(f"{name} ({contacts})")
+                targets: list[Target] = []
+                for tomato in _nearest(scene, per_scene):
+                    targets.append(certify_target(compiled, tomato, seed))
+                    if on_progress is not None:
+                        on_progress(done + len(targets))
+                result = _with_targets(scene, targets, source)
+                result.save(folder / f"{name}.json")
+            done += len(_nearest(scene, per_scene))
+            rated.append((result, opened.split_of(name)))
+        if blocked and len(blocked) == len(rated):
+            raise InvalidValueError(f"{arm.name} touches something at its start in every scene: {', '.join(blocked)}")
+        return write_bank(folder, rated, folder.name, f"{opened.manifest.name}, rated for {arm.name}")
 
 
 def _nearest(scene: Scene, count: int | None) -> list[int]:
@@ -82,16 +85,19 @@ def _nearest(scene: Scene, count: int | None) -> list[int]:
     return sorted(np.argsort(shoulder_distances(scene), kind="stable")[:count].tolist())
 
 
-def new_folder(bank: str | Path | SceneBank, out: str | Path) -> Path:
-    """Return the folder of a bank that is made from another one.
+@contextmanager
+def new_folder(bank: str | Path | SceneBank, out: str | Path) -> Iterator[Path]:
+    """Lock the folder of a bank that is made from another one, for this process, and yield it.
 
     Raises:
         InvalidValueError: It is the folder of that bank.
+        FileWriteError: It cannot be written, or another process is at work in it.
     """
     folder = resolved(out)
     if folder == SceneBank.open(bank).path.resolve():
         raise InvalidValueError(f"{folder}: the new bank needs another folder than the bank it is made from")
-    return folder
+    with exclusive(folder):
+        yield folder
 
 
 def load_rated(path: Path, source: dict[str, Any], key: str = RATING) -> Scene | None:

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.errors import InvalidValueError, require_choice
+from greenhouse_gym.errors import InvalidValueError, check_whole, is_number, require_choice
 from greenhouse_gym.geometry import Array, invert, pose, rotation_about
 from greenhouse_gym.rendering.raycaster import Hits, RayCaster
 from greenhouse_gym.rendering.renderer import surface_colors
@@ -43,6 +43,8 @@ _BASE_FROM_MAST = pose(
 )
 """Pose of the mast camera: left of the arm and above its shoulder, looking at the middle of the workspace."""
 
+_MAX_PIXELS = 1 << 13  # in each direction
+
 D435_FOCAL = 424.2  # px at 848 px width; the noise parameters refer to this width
 
 
@@ -64,10 +66,11 @@ class DepthCamera:
 
     def __post_init__(self) -> None:
         require_choice("camera", self.mount, CAMERAS)
-        if min(self.width, self.height) < 1 or not 0 < self.field_of_view < 180:
+        for name in ("width", "height"):
+            check_whole(f"a camera's {name}", getattr(self, name), 1, _MAX_PIXELS)
+        if not (is_number(self.field_of_view) and 0 < self.field_of_view < 180):
             raise InvalidValueError(
-                f"a camera needs a positive size and a field of view below 180 degrees, got {self.width} x "
-                f"{self.height} at {self.field_of_view}"
+                f"a camera's field_of_view must be a number of degrees between 0 and 180, got {self.field_of_view!r}"
             )
 
     @property

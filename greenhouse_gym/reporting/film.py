@@ -17,7 +17,7 @@ from greenhouse_gym.envs.actions import check_actions
 from greenhouse_gym.envs.contacts import NAME_SEPARATOR
 from greenhouse_gym.envs.environment import GreenhouseEnv
 from greenhouse_gym.errors import InvalidValueError, check_whole, require_seed
-from greenhouse_gym.evaluation.runner import never_acted
+from greenhouse_gym.evaluation.asking import never_acted
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.rendering.picture_files import FILMS, require_picture, with_caption, write_film
 from greenhouse_gym.rendering.renderer import Image
@@ -112,7 +112,7 @@ class _Take(NamedTuple):
         try:
             self.agent.reset(problem)
         except Exception as error:
-            raise never_acted(self.agent, seed, f"{type(error).__name__}: {error}") from error
+            raise never_acted(self.agent.name, seed, f"{type(error).__name__}: {error}") from error
         while not over:
             try:
                 answer = np.asarray(self.agent.act(observation))
@@ -120,7 +120,7 @@ class _Take(NamedTuple):
             except Exception as error:
                 failure = f"{type(error).__name__}: {error}"
                 if not info["steps"] and not filmed:
-                    raise never_acted(self.agent, seed, failure) from error
+                    raise never_acted(self.agent.name, seed, failure) from error
                 break
             observation, _, terminated, truncated, info = env.step(action)
             self.on_step()

@@ -123,14 +123,26 @@ def _check_sizes(path: Path, text: str) -> None:
 
 
 def _check_assets(path: Path, spec: mujoco.MjSpec) -> None:
-    if len(spec.flexes) or len(spec.skins):
-        raise FileFormatError(path, "has a flex or a skin: an arm consists of rigid bodies")
-    files = [(each.file, spec.meshdir) for each in (*spec.meshes, *spec.hfields)]
-    files += [(each.file, spec.texturedir) for each in spec.textures]
-    for name, folder in files:
-        file = path.parent / folder / name
-        if name and file.exists() and not (file.is_file() and file.stat().st_size <= MAX_BYTES["robot asset"]):
+    if len(spec.flexes) or len(spec.skins) or len(spec.hfields):  # a damaged height field ends the process
+        raise FileFormatError(path, "has a flex, a skin or a height field: an arm consists of rigid bodies")
+    meshes = [(each.file, spec.meshdir) for each in spec.meshes]
+    textures = [(name, spec.texturedir) for each in spec.textures for name in (each.file, *each.cubefiles)]
+    for name, folder in (*meshes, *textures):
+        file = path.parent / folder / (Path(name).name if spec.strippath else name)
+        if not name or not file.exists():
+            continue
+        if not (file.is_file() and file.stat().st_size <= MAX_BYTES["robot asset"]):
             raise FileFormatError(path, f"the asset {file} is no regular file, or too large")
+        if (name, folder) in textures and not _is_small_png(file):
+            raise FileFormatError(path, f"the texture {file} is no PNG file of up to {_MAX_SIZE} pixels each way")
+
+
+def _is_small_png(file: Path) -> bool:
+    """Return whether a file is a PNG image, by its name and its header, with up to `_MAX_SIZE` pixels each way."""
+    with file.open("rb") as opened:
+        head = opened.read(24)
+    sizes = (int.from_bytes(head[at : at + 4], "big") for at in (16, 20))
+    return file.suffix.lower() == ".png" and head[:4] == b"\x89PNG" and all(0 < size <= _MAX_SIZE for size in sizes)
 
 
 def _drop_world_settings(path: Path, spec: mujoco.MjSpec) -> None:

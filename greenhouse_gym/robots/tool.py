@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.common.files import resolved, write_atomically
-from greenhouse_gym.errors import FileFormatError
+from greenhouse_gym.errors import FileFormatError, InvalidValueError
 from greenhouse_gym.robots.arm_file import read_arm
 from greenhouse_gym.robots.load import FLANGE_SITES, find_name, load_robot
 from greenhouse_gym.robots.prepare import CUP_GEOM, PROBE_PREFIX, TIP_SITE
@@ -37,9 +37,12 @@ def mount_tool(
         The written file.
 
     Raises:
+        InvalidValueError: The copy would replace the arm's file.
         FileFormatError: The file contains no arm, no such site, or already a site ``tip`` or a geom ``cup``.
     """
-    arm = resolved(arm)
+    arm, out = resolved(arm), resolved(out)
+    if out == arm:
+        raise InvalidValueError(f"{out}: the copy needs another file than that of the arm")
     spec = read_arm(arm)
     model = spec.compile()
     sites = [model.site(i).name for i in range(model.nsite)]
@@ -59,7 +62,6 @@ def mount_tool(
     spec.compile()
     spec.meshdir = str((arm.parent / spec.meshdir).resolve())
     spec.texturedir = str((arm.parent / spec.texturedir).resolve())
-    out = resolved(out)
     write_atomically(out, spec.to_xml())
     begin = load_robot(out, start=start).start
     for key in spec.keys:

@@ -15,8 +15,7 @@ from greenhouse_gym.agents.occupancy_map import wrist_camera
 from greenhouse_gym.agents.viewpoints import visible
 from greenhouse_gym.envs.tasks.look import MAP, RIPE
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.evaluation import evaluate
-from greenhouse_gym.evaluation.runner import AgentError
+from greenhouse_gym.evaluation import AgentError, evaluate
 from greenhouse_gym.motion.arm_spheres import arm_spheres
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene.occupancy import FREE, OCCUPIED, UNKNOWN

@@ -117,7 +117,7 @@ def test_a_depth_or_an_image_without_a_meaning_is_refused() -> None:
     for depth in (-0.05, float("nan")):
         with pytest.raises(InvalidValueError, match=f"depth must be 0 m or more, got {depth}"):
             WatchfulAgent(depth=depth)
-    with pytest.raises(InvalidValueError, match="size"):
+    with pytest.raises(InvalidValueError, match="a camera's width must be a whole number from 1"):
         WatchfulAgent(image=(0, 48))
     with pytest.raises(InvalidValueError, match=r"a width and a height, pixels, got \(64,\)"):
         WatchfulAgent(image=(64,))  # type: ignore[arg-type]

@@ -1,7 +1,8 @@
-"""Damaged bags, folders, rigs, arms and settings in a process of its own."""
+"""Damaged bags, folders, rigs, arms, policies and settings in a process of its own."""
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 from collections.abc import Callable, Mapping
@@ -13,9 +14,11 @@ import numpy as np
 import pytest
 from bag_writer import MCAP, ROS1, SQLITE, Writer
 from fuzzing import Source, assert_all_end_well, assert_what_is_no_file_does_no_harm
+from layouts import CameraTrack, as_described, save
 from mutants import damaged_bytes, damaged_json, damaged_numbers
 from robots.test_arm_files import arm_text
 
+from greenhouse_gym.agents.policy import Policy
 from greenhouse_gym.capture import Intrinsics, RgbdFrame, open_recording
 from greenhouse_gym.capture.rig_file import load_mounting
 from greenhouse_gym.common.settings_files import as_toml, resolve
@@ -83,6 +86,75 @@ def in_folder(damaged: str, texts: Mapping[str, str], rgb: str = "rgb", suffix: 
     return Source(folder_with(damaged, texts, rgb, suffix), folder_of, damages, least)
 
 
+def depth_image(suffix: str, image: np.ndarray) -> Source:
+    """A described folder with depth in another format than PNG."""
+
+    def write(folder: Path) -> Path:
+        frame = RgbdFrame(np.zeros((12, 16, 3), np.uint8), np.ones((12, 16), np.float32), LENS)
+        as_described(suffix, 0.0)(folder, CameraTrack([frame] * 2, [np.eye(4)] * 2))
+        save(folder / f"d/000001{suffix}", image)
+        return folder / f"d/000001{suffix}"
+
+    return Source(write, folder_of, (damaged_bytes, damaged_numbers), 0.0)
+
+
+BALL = "\n".join(f"v {x} {y} {z}" for x in (0, 1) for y in (0, 1) for z in (0, 1)) + "\nf 1 2 3\nf 4 6 7\nf 8 1 6\n"
+CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], "<f4")
+FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], "<i4")
+
+
+def stl() -> bytes:
+    facets = [np.zeros(3, "<f4").tobytes() + CORNERS[face].tobytes() + bytes(2) for face in FACES]
+    return bytes(80) + len(facets).to_bytes(4, "little") + b"".join(facets)
+
+
+def msh() -> bytes:
+    return np.array([4, 0, 0, 4], "<i4").tobytes() + CORNERS.tobytes() + FACES.tobytes()
+
+
+def png() -> bytes:
+    return cv2.imencode(".png", np.arange(192, dtype=np.uint8).reshape(8, 8, 3))[1].tobytes()
+
+
+def asset(name: str, content: bytes, kind: str, geom: str) -> Source:
+    """A file that an arm's file names."""
+
+    def write(folder: Path) -> Path:
+        head = f'<asset><{kind} name="m" file="{name}"/>{geom.partition("|")[2]}</asset>'
+        (folder / "arm.xml").write_text(arm_text(head, inside=geom.partition("|")[0]))
+        (folder / name).write_bytes(content)
+        return folder / name
+
+    return Source(write, lambda path: load_robot(path.parent / "arm.xml"), (damaged_bytes, damaged_numbers), 0.0)
+
+
+MESH = '<geom type="mesh" mesh="m" mass="1" contype="0" conaffinity="0"/>'
+TEXTURE = '<geom type="box" size="0.01 0.01 0.01" material="t"/>|<material name="t" texture="m"/>'
+
+
+def policy(damaged: str) -> Source:
+    """A policy with damaged weights, or a damaged description; the checksum in it fits in any case."""
+
+    def write(folder: Path) -> Path:
+        rng = np.random.default_rng(0)
+        weights = tuple(rng.normal(size=size).astype(np.float32) for size in ((8, 6), (6, 8)))
+        Policy(
+            weights=weights, biases=(np.zeros(8, np.float32), np.zeros(6, np.float32)), activation="tanh",
+            center=np.zeros(6, np.float32), scale=np.ones(6, np.float32), env_options={}, layout=(),
+        ).save(folder / "policy")  # fmt: skip
+        return folder / f"policy.{damaged}"
+
+    def use(path: Path) -> None:
+        description = path.with_suffix(".json")
+        if damaged == "safetensors" and path.is_file():
+            digest = hashlib.sha256(path.read_bytes()).hexdigest()
+            description.write_text(json.dumps(json.loads(description.read_text()) | {"weights_sha256": digest}))
+        loaded = Policy.load(path)
+        loaded(np.zeros(len(loaded.center), np.float32))
+
+    return Source(write, use, (damaged_json,) if damaged == "json" else (damaged_bytes, damaged_numbers))
+
+
 def text_file(name: str, content: str | Callable[[], str], use: Callable[[Path], object], least: float = 0.2) -> Source:
     def write(folder: Path) -> Path:
         (folder / name).write_text(content if isinstance(content, str) else content())
@@ -120,6 +192,15 @@ SOURCES: Mapping[str, Source] = MappingProxyType(
         "calibration": in_folder("camera_x.yaml", {"camera_x.yaml": CALIBRATION}),
         "JPEG": in_folder("color/0.jpg", OPEN3D, "color", "jpg"),
         "PNG": in_folder("depth/1.png", OPEN3D, "color"),
+        "TIFF": depth_image(".tiff", np.full((12, 16), 500, np.uint16)),
+        "TIFF of fractions": depth_image(".tiff", np.ones((12, 16), np.float32)),
+        "EXR": depth_image(".exr", np.ones((12, 16), np.float32)),
+        "policy's description": policy("json"),
+        "policy's weights": policy("safetensors"),
+        "arm's STL": asset("m.stl", stl(), "mesh", MESH),
+        "arm's OBJ": asset("m.obj", BALL.encode(), "mesh", MESH),
+        "arm's MSH": asset("m.msh", msh(), "mesh", MESH),
+        "arm's texture": asset("m.png", png(), 'texture type="2d"', TEXTURE),
         "rig file": text_file("rig.yaml", RIG, load_mounting),
         "arm": text_file("arm.xml", arm_text, load_robot, 0.1),
         "shipped arm": text_file("arm.xml", ROBOTS["ur5e"].read_text, load_robot, 0.1),

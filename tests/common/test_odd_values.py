@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from greenhouse_gym.agents import RandomAgent, make_agent
-from greenhouse_gym.envs import make_env
+from greenhouse_gym.agents import HybridAgent, PlannerAgent, RandomAgent, ShieldedAgent, WatchfulAgent, make_agent
+from greenhouse_gym.envs import DepthCamera, make_env
 from greenhouse_gym.errors import GreenhouseError
 from greenhouse_gym.evaluation import compare, evaluate, retrace
 from greenhouse_gym.planning import plan
@@ -48,11 +48,25 @@ NAMES: dict[str, Callable[[Any], object]] = {
     "problems": lambda odd: evaluate(RandomAgent(), problems=odd, bank="mini"),
     "executor": lambda odd: evaluate(RandomAgent(), executor=odd, bank="mini"),
     "journal": lambda odd: evaluate(RandomAgent(), journal=odd, bank="mini"),
+    "progress": lambda odd: evaluate(RandomAgent(), episodes=1, progress=odd, bank="mini", step_limit=1),
     "agents": lambda odd: compare(odd, bank="mini", episodes=1),
     "planner": lambda odd: plan(SCENE, 0, "ur5e", planner=odd, max_checks=1),
     "start of a plan": lambda odd: plan(SCENE, 0, "ur5e", start=odd, max_checks=1),
     "goals of a plan": lambda odd: plan(SCENE, 0, "ur5e", goals=odd, max_checks=1),
     "collision pairs": lambda odd: plan(SCENE, 0, "ur5e", pairs=odd, max_checks=1),
+    "checks of a plan": lambda odd: plan(SCENE, 0, "ur5e", max_checks=odd, time_limit=-1),
+    "settings of a planner": lambda odd: plan(SCENE, 0, "ur5e", settings=odd, max_checks=1),
+    "unknown space": lambda odd: plan(SCENE, 0, "ur5e", unknown=odd, max_checks=0),
+    "unexplained surfaces": lambda odd: plan(SCENE, 0, "ur5e", unexplained=odd, max_checks=0),
+    "first solution": lambda odd: plan(SCENE, 0, "ur5e", first_solution=odd, max_checks=1),
+    "settings of a planning agent": lambda odd: PlannerAgent(settings=odd, unexplained=odd, fallback=odd),
+    "depth of a watchful agent": lambda odd: WatchfulAgent(depth=odd),
+    "image of a watchful agent": lambda odd: WatchfulAgent(image=odd),
+    "noise of a watchful agent": lambda odd: WatchfulAgent(noisy=odd),
+    "agent behind a shield": ShieldedAgent,
+    "agent that rehearses": lambda odd: HybridAgent(odd, RandomAgent()),
+    "width of a camera": lambda odd: DepthCamera(width=odd),
+    "field of view": lambda odd: DepthCamera(field_of_view=odd),
     "agent's options": lambda odd: evaluate(Optional({odd: 1}), bank="mini") if isinstance(odd, Hashable) else None,
     "seeds": lambda odd: retrace(RandomAgent(), odd, bank="mini"),
 }

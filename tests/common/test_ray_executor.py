@@ -51,6 +51,23 @@ def test_a_lost_process_is_told_and_the_cluster_goes_on(cluster: RayExecutor) ->
     assert sorted(completed(squared, range(3), cluster)) == [(0, 0), (1, 1), (2, 4)]
 
 
+def test_work_is_given_up_once_no_node_that_is_left_can_do_it(
+    cluster: RayExecutor, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(ray_executor, "_LOOK", 0.05)
+    lost: list[bool] = []
+    monkeypatch.setattr(cluster.ray, "nodes", lambda: [{"Alive": not lost, "Resources": {"CPU": 2.0}}])
+    with RayExecutor() as executor:
+        work = executor.submit(asleep, tmp_path)
+        wait_until(lambda: list(tmp_path.iterdir()))
+        assert not executor.stranded
+        lost.append(True)
+        with pytest.raises(WorkerLostError, match=r"nodes of the cluster were lost: .* up to 0 cores, got cpus=1"):
+            work.result(60)
+    (pid,) = (int(path.name) for path in tmp_path.iterdir())
+    wait_until(lambda: not alive(pid))
+
+
 def test_a_canceled_piece_of_work_really_ends(cluster: RayExecutor, tmp_path: Path) -> None:
     future = cluster.submit(asleep, tmp_path)
     wait_until(lambda: list(tmp_path.iterdir()))

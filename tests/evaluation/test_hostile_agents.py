@@ -11,10 +11,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from threading import active_count
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from gymnasium import spaces
 from still_agent import StillAgent
 from typer.testing import CliRunner
 
@@ -22,8 +24,19 @@ from greenhouse_gym.agents import Problem, WaypointAgent
 from greenhouse_gym.cli.main import app
 from greenhouse_gym.common import memory
 from greenhouse_gym.common.executors import processes
-from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.evaluation import AgentError, Evaluation, compare, comparison_table, evaluate, leaderboard, retrace
+from greenhouse_gym.common.files import exclusive
+from greenhouse_gym.errors import FileWriteError, InvalidValueError
+from greenhouse_gym.evaluation import (
+    AgentError,
+    Evaluation,
+    compare,
+    comparison_table,
+    evaluate,
+    leaderboard,
+    retrace,
+    rollouts,
+    runner,
+)
 from greenhouse_gym.evaluation.entry import columns_of
 from greenhouse_gym.evaluation.journal import RecordJournal
 from greenhouse_gym.evaluation.leaderboard import V1, Entry, read_entry, submit
@@ -192,6 +205,112 @@ def test_a_call_that_timed_out_ends(bank: SceneBank) -> None:
     with pytest.raises(AgentError, match=r"timed out after 0\.1 s"):
         evaluate(Endless(), episodes=1, bank=bank, timeout=0.1)
     assert active_count() == threads
+
+
+class OwnPart:
+    """An observation or a kind of action of an agent's own that fails."""
+
+    def __init__(self, fail: Callable[[], Any], size: int):
+        self.fail, self.space = fail, spaces.Box(-1, 1, (size,), np.float32)
+
+    def __call__(self, state: Any, *_: Any) -> Any:
+        return self.fail()
+
+
+def endless() -> None:
+    while True:
+        pass
+
+
+PARTS = {
+    "quits": (lambda: sys.exit(3), "SystemExit: 3"),
+    "fails": (lambda: 1 // 0, "ZeroDivisionError"),
+    "answers with a trap": (OddAnswer, "SystemExit"),
+    "never ends": (endless, r"timed out after 0\.2 s"),
+}
+
+
+@pytest.mark.parametrize("part", ["observation", "action"])
+@pytest.mark.parametrize("fault", PARTS)
+def test_an_agents_own_observation_or_action_ends_no_comparison(bank: SceneBank, part: str, fault: str) -> None:
+    fail, problem = PARTS[fault]
+    failing = StillAgent()
+    failing.env_options = {part: OwnPart(fail, 1 if part == "observation" else 6)}
+    lost, still = compare([failing, StillAgent()], episodes=1, bank=bank, step_limit=2, timeout=0.2)
+    assert re.search(f"its own observation or action failed: .*{problem}", lost.error)
+    assert [record.failure for record in still.records] == [""]
+
+
+def test_work_in_an_agents_own_observation_counts_as_its_time(bank: SceneBank, monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = [0.0]
+
+    def slow() -> np.ndarray:
+        clock[0] += 1.0
+        return np.zeros((1, 1), np.float32)
+
+    monkeypatch.setattr(runner, "time", SimpleNamespace(perf_counter=lambda: clock[0]))
+    agent = StillAgent()
+    agent.env_options = {"observation": OwnPart(slow, 1)}
+    (record,) = evaluate(agent, episodes=1, bank=bank, step_limit=4).records
+    assert record.action_time >= 1.0
+
+
+class Inimitable(StillAgent):
+    """Is never done being copied."""
+
+    def __deepcopy__(self, memo: Any) -> Any:
+        endless()
+
+
+def test_a_copy_that_never_ends_is_given_up(bank: SceneBank, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(runner, "_GRACE", 0.1)
+    with pytest.raises(InvalidValueError, match=r"cannot be copied .*timed out after 0\.1 s"):
+        evaluate(Inimitable(), episodes=2, bank=bank, num_envs=2, timeout=0.1, step_limit=1)
+
+
+class Name(str):
+    __slots__ = ()
+
+    def __str__(self) -> str:
+        sys.exit("no name")
+
+    __repr__ = __str__
+    __format__ = lambda self, _: sys.exit("no name")  # noqa: E731
+
+
+class Secretive(StillAgent):
+    """Quits when it is asked for one of its attributes."""
+
+    def __init__(self, *secrets: str):
+        super().__init__()
+        self.secrets = secrets
+
+    def __getattribute__(self, name: str) -> Any:
+        return sys.exit(name) if name in object.__getattribute__(self, "secrets") else super().__getattribute__(name)
+
+
+@pytest.mark.parametrize("secret", ["name", "env_options", "knows_truth", "act_many"])
+def test_an_agent_that_quits_when_it_is_asked_ends_no_comparison(bank: SceneBank, secret: str) -> None:
+    named = StillAgent()
+    named.name = Name("named")
+    lost, odd, still = compare([Secretive(secret), named, StillAgent()], episodes=1, bank=bank, step_limit=1)
+    assert (lost.agent, odd.agent) == ("Secretive", "named")
+    assert f"SystemExit: {secret}" in lost.error
+    assert len(odd.records) == len(still.records) == 1
+
+
+def test_what_is_no_agent_is_refused_before_any_agent_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rollouts, "evaluate", lambda *_, **__: pytest.fail("one was run"))
+    with pytest.raises(InvalidValueError, match="is no agent"):
+        compare([StillAgent(), object()])  # type: ignore[list-item]
+
+
+def test_one_process_at_a_time_runs_a_track(tmp_path: Path) -> None:
+    with (
+        exclusive(tmp_path, only="still.trial.reconstruction.jsonl"),
+        pytest.raises(FileWriteError, match=r"still\.trial\.reconstruction\.jsonl: .*another process is at work"),
+    ):
+        submit(StillAgent(), "still", tmp_path, ["reconstruction"], SHORT)
 
 
 class Ending(StillAgent):

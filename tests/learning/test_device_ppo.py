@@ -11,9 +11,10 @@ pytest.importorskip("warp")
 pytest.importorskip("torch")
 
 from greenhouse_gym.agents.policy_agent import PolicyAgent
-from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.common.files import exclusive
+from greenhouse_gym.errors import DivergedError, FileWriteError, InvalidValueError
 from greenhouse_gym.evaluation import evaluate
-from greenhouse_gym.learning import DevicePpoSettings, device_ppo, train_ppo_on_device
+from greenhouse_gym.learning import DevicePpoSettings, PpoSettings, device_ppo, train_ppo, train_ppo_on_device
 from greenhouse_gym.learning.device_ppo import DevicePpo
 from greenhouse_gym.learning.training_files import CURVE, read_curve
 from greenhouse_gym.scene import SceneBank
@@ -35,6 +36,10 @@ def test_policy_plays_in_mujoco(tmp_path):
     assert len(result.records) == 2
     with pytest.raises(InvalidValueError, match="another folder"):
         train_ppo_on_device(SMALL, tmp_path / "run")
+    with pytest.raises(InvalidValueError, match="another folder"):
+        train_ppo(PpoSettings(bank="mini"), tmp_path / "run")
+    with exclusive(tmp_path / "other"), pytest.raises(FileWriteError, match="another process is at work"):
+        train_ppo_on_device(SMALL, tmp_path / "other")
 
 
 def test_same_seed_same_policy():
@@ -63,6 +68,25 @@ def test_interrupted_training_of_limited_time_leaves_a_policy(tmp_path, monkeypa
         train_ppo_on_device(replace(SMALL, total_steps=10**9), tmp_path / "run", time_limit=3.5, on_progress=stop)
     assert rates == [pytest.approx(SMALL.learning_rate * 0.5 / 3.5)]
     assert PolicyAgent.load(tmp_path / "run" / "policy").policy.training["algorithm"] == "PPO on a device"
+
+
+def test_a_diverged_training_keeps_its_last_policy(tmp_path, monkeypatch):
+    trainings = []
+
+    class Known(DevicePpo):
+        def __init__(self, settings):
+            super().__init__(settings)
+            trainings.append(self)
+
+    def spoil(line):
+        trainings[0].networks.log_std.data.fill_(float("nan"))
+
+    monkeypatch.setattr(device_ppo, "DevicePpo", Known)
+    monkeypatch.setattr(device_ppo, "_SECONDS_BETWEEN_LINES", 0.0)
+    with pytest.raises(DivergedError, match=r"within 1,024 steps.*before is kept"):
+        train_ppo_on_device(SMALL, tmp_path / "run", on_progress=spoil)
+    assert PolicyAgent.load(tmp_path / "run" / "policy").policy.training["steps"] == 512
+    assert [row["steps"] for row in read_curve(tmp_path / "run" / CURVE)] == [512]
 
 
 def test_sizes_follow_the_device_and_sources_choose_the_rows():

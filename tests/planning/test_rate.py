@@ -8,10 +8,12 @@ import pytest
 from typer.testing import CliRunner
 
 from greenhouse_gym.cli import app
+from greenhouse_gym.common.files import exclusive
 from greenhouse_gym.envs import GreenhouseEnv
-from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.errors import FileWriteError, InvalidValueError
 from greenhouse_gym.motion.collision import PROOF
 from greenhouse_gym.planning import CollisionChecker, certify, plan, planning_model
+from greenhouse_gym.planning.brush_ratings import brush_bank
 from greenhouse_gym.planning.rated_banks import RATING, rate_bank
 from greenhouse_gym.robots import get_robot, load_robot
 from greenhouse_gym.scene import Scene, SceneBank, compile_scene
@@ -73,6 +75,13 @@ def test_arms_from_elsewhere_go_through_rate_plan_and_train(name: str, few: Scen
         hidden=(16, 16),
     )  # fmt: skip
     assert train_ppo(settings, tmp_path / "run").exists()
+
+
+def test_one_process_at_a_time_writes_a_rated_bank(few: SceneBank, tmp_path: Path) -> None:
+    with exclusive(tmp_path):
+        for write in (lambda: rate_bank(few, "iiwa14", tmp_path), lambda: brush_bank(few, tmp_path)):
+            with pytest.raises(FileWriteError, match="another process is at work in this folder"):
+                write()
 
 
 def test_rating_goes_on_where_it_was_interrupted(

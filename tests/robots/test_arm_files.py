@@ -182,6 +182,16 @@ TEXTS: dict[str, tuple[str | bytes, str]] = {
     ),
     "a huge texture": (arm_text('<asset><texture type="2d" builtin="flat" width="9999" height="1"/></asset>'), "wid"),
     "a huge height field": (arm_text('<asset><hfield nrow="2" ncol="99999" size="1 1 1 1"/></asset>'), "ncol=99999"),
+    "a small height field": (arm_text('<asset><hfield nrow="2" ncol="2" size="1 1 1 1"/></asset>'), "a height field"),
+    "a side of a texture in a pipe": (
+        arm_text('<asset><texture type="cube" fileright="pipe"/></asset>'), "pipe is no regular file",
+    ),
+    "a texture that unpacks to much": (
+        arm_text('<asset><texture type="2d" name="t" file="large.png"/></asset>'), "no PNG file of up to 8192 pixels",
+    ),
+    "a texture of another kind": (
+        arm_text('<asset><texture type="2d" name="t" file="raw.bin"/></asset>'), "no PNG file of up to 8192 pixels",
+    ),
     "many keys": (arm_text('<size nkey="2000000000"/>'), "nkey"),
     "a cloth": (arm_text(inside='<flexcomp name="f" type="grid" count="9 9 9"/>'), "rigid bodies"),
     "a second body": (arm_text(world='<body name="table"><geom size="1"/></body>'), "table, base"),
@@ -201,6 +211,8 @@ TEXTS: dict[str, tuple[str | bytes, str]] = {
 def test_a_file_that_is_no_arms_is_refused_by_name(tmp_path: Path, kind: str) -> None:
     content, problem = TEXTS[kind]
     os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "large.png").write_bytes(b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + 2 * (20_000).to_bytes(4, "big"))
+    (tmp_path / "raw.bin").write_bytes((2**14).to_bytes(4, "little") * 2)
     with pytest.raises(FileFormatError, match=problem) as caught:
         get_robot(write(tmp_path, content))
     assert str(tmp_path) in str(caught.value)

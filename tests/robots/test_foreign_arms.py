@@ -16,7 +16,7 @@ from foreign_arms import ARMS, write_arm
 
 from greenhouse_gym.agents import PlannerAgent
 from greenhouse_gym.envs import GreenhouseEnv, GreenhouseVectorEnv
-from greenhouse_gym.errors import FileFormatError
+from greenhouse_gym.errors import FileFormatError, InvalidValueError
 from greenhouse_gym.evaluation import evaluate
 from greenhouse_gym.planning import CollisionChecker, goal_configurations, path_clearance, planning_model
 from greenhouse_gym.robots import ROBOTS, Robot, get_robot, load_robot, mount_tool
@@ -251,6 +251,8 @@ def test_a_tool_is_mounted_once(tmp_path: Path) -> None:
         mount_tool(out, tmp_path / "twice.xml")
     with pytest.raises(FileFormatError, match="'nose'; it has attachment_site"):
         mount_tool(tmp_path / "fr3.xml", tmp_path / "twice.xml", flange="nose")
+    with pytest.raises(InvalidValueError, match="the copy needs another file"):
+        mount_tool(tmp_path / "fr3.xml", tmp_path / "fr3.xml")
 
 
 def test_many_loaded_robots_do_not_pile_up(tmp_path: Path, bank: SceneBank) -> None:

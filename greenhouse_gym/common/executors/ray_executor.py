@@ -7,7 +7,8 @@ import pickle
 import platform
 import socket
 import sys
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterable
 from concurrent.futures import Executor, Future, InvalidStateError, wait
 from contextlib import suppress
 from functools import partial
@@ -24,6 +25,8 @@ from greenhouse_gym.errors import GreenhouseError, InvalidValueError
 Result = TypeVar("Result")
 
 _TIMEOUT = 5.0  # seconds to wait for an answer from an address
+_LOOK = 10.0  # seconds between two looks at the nodes
+_LOOKS = 3  # in a row without a node for the tasks, after which they are given up
 _SETTINGS = b"\x04"  # the kind of frame that opens a connection of HTTP/2, which Ray's head speaks
 _GREETING = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes(3) + _SETTINGS + bytes(5)
 
@@ -33,7 +36,8 @@ class RayExecutor(Executor):
 
     Work travels by pickle, as with processes: functions must belong to modules that every node has, in the same
     version of this package. Each task starts in the caller's working folder where the node has that folder, so that
-    relative paths keep their meaning. Tasks of a lost node are repeated on another.
+    relative paths keep their meaning. Tasks of a lost node are repeated on another. If none that is left has the cores
+    or the memory for them, they end with a `WorkerLostError` after half a minute, instead of waiting forever.
 
     Args:
         address: "local" for the cores of this machine, "HOST:PORT" of a cluster's head, or "auto" for the cluster this
@@ -42,6 +46,9 @@ class RayExecutor(Executor):
         memory: Bytes per task; Ray starts only as many tasks as fit. With None, memory is not counted.
         retries: Number of times that a task is repeated after its node or process died.
         workers: Number of cores to use with "local"; None for all.
+
+    Attributes:
+        stranded: Reason why none of the nodes that are left can run a task; empty if one can.
 
     Raises:
         MissingDependencyError: Ray is not installed.
@@ -67,8 +74,8 @@ class RayExecutor(Executor):
             _join(self.ray, address, workers)
         elif address not in ("local", "auto"):
             raise InvalidValueError(f"this process is in a Ray cluster already: leave it before joining {address}")
-        self._futures: set[Future[Any]] = set()
-        self._open = True
+        self._futures: set[_RayFuture[Any]] = set()
+        self._open, self._closed, self.stranded = True, threading.Event(), ""
         try:
             _check_fits([node for node in self.ray.nodes() if node["Alive"]], cpus, memory)
         except InvalidValueError:
@@ -77,6 +84,7 @@ class RayExecutor(Executor):
         options = {"num_cpus": cpus, "max_retries": retries, "retry_exceptions": False}
         self._call = self.ray.remote(_call).options(**options, **({} if memory is None else {"memory": memory}))
         self._max_workers = max(1, int(self.ray.cluster_resources().get("CPU", 1) // cpus))
+        threading.Thread(target=self._watch, name="watch over the nodes of a Ray cluster", daemon=True).start()
 
     def submit(self, fn: Callable[..., Result], /, *args: Any, **kwargs: Any) -> Future[Result]:
         """Schedule a call of a function of a module.
@@ -87,7 +95,7 @@ class RayExecutor(Executor):
         if not self._open:
             raise RuntimeError("cannot schedule new futures after shutdown")
         reference = self._call.remote(self.message(fn, *args, **kwargs), *self.home())
-        future: Future[Result] = _RayFuture(self.ray, reference)
+        future: _RayFuture[Result] = _RayFuture(self.ray, reference)
         self._futures.add(future)
         future.add_done_callback(self._futures.discard)
         reference.future().add_done_callback(partial(_settle, future))
@@ -110,6 +118,7 @@ class RayExecutor(Executor):
             cancel_futures: Whether to cancel scheduled tasks, running ones included.
         """
         self._open = False
+        self._closed.set()
         if cancel_futures:
             for future in list(self._futures):
                 future.cancel()
@@ -117,6 +126,24 @@ class RayExecutor(Executor):
             _wait(list(self._futures))
         if self._owns and self.ray.is_initialized():
             self.ray.shutdown()
+
+    def _watch(self) -> None:
+        """End the tasks that wait for nodes which were lost."""
+        looks = 0
+        while not self._closed.wait(_LOOK):
+            try:
+                _check_fits([node for node in self.ray.nodes() if node["Alive"]], self.cpus, self.memory)
+            except InvalidValueError as error:
+                looks += 1
+                self.stranded = f"nodes of the cluster were lost: {error}" if looks >= _LOOKS else ""
+            except Exception:  # the cluster is being left
+                return
+            else:
+                looks, self.stranded = 0, ""
+            for future in list(self._futures) if self.stranded else ():
+                with suppress(InvalidStateError):  # it ended meanwhile
+                    future.set_exception(WorkerLostError(self.stranded))
+                future.stop()
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
@@ -134,12 +161,16 @@ class _RayFuture(Future[Result]):
     def cancel(self) -> bool:
         canceled = super().cancel()
         if canceled:
-            with suppress(Exception):  # the cluster may be gone
-                self._ray.cancel(self._reference, force=True)
+            self.stop()
         return canceled
 
+    def stop(self) -> None:
+        """Stop the task."""
+        with suppress(Exception):  # the cluster may be gone
+            self._ray.cancel(self._reference, force=True)
 
-def _wait(futures: list[Future[Any]]) -> None:
+
+def _wait(futures: Iterable[Future[Any]]) -> None:
     wait(futures)
 
 

@@ -94,12 +94,13 @@ def run_trials(
 
     Raises:
         KeyboardInterrupt: The work was interrupted; each task had a few seconds to end itself.
+        WorkerLostError: Nodes were lost, and none that is left can run a task.
         Exception: The first error of a task or of ``on_end``; a `RuntimeError` where that is not an `Exception`, such
             as `SystemExit`. The other tasks were ended.
     """
     for name, value in _SETTINGS.items():
         os.environ.setdefault(name, value)
-    watch = _Watch(on_end, on_progress)
+    watch = _Watch(on_end, on_progress, cluster)
     trial = tune.with_parameters(_Trial, message=cluster.message(work, dict(items)), home=cluster.home())
     room = {"cpu": cluster.cpus, **({} if cluster.memory is None else {"memory": cluster.memory})}
     tuner = tune.Tuner(
@@ -178,8 +179,10 @@ class _Trial(tune.Trainable):  # type: ignore[misc]
 class _Watch(tune.Callback):  # type: ignore[misc]
     """Callback that forwards Tune's events between its steps, where an error can end the run."""
 
-    def __init__(self, on_end: Callable[[str, Any, bool], None], on_progress: Callable[[Any], None]):
-        self.ended = 0
+    def __init__(
+        self, on_end: Callable[[str, Any, bool], None], on_progress: Callable[[Any], None], cluster: RayExecutor
+    ):
+        self.ended, self._cluster = 0, cluster
         self._on_end, self._on_progress = on_end, on_progress
         self._due: list[Callable[[], None]] = []
 
@@ -205,6 +208,8 @@ class _Watch(tune.Callback):  # type: ignore[misc]
         due, self._due = self._due, []
         for call in due:
             call()
+        if self._cluster.stranded:
+            raise WorkerLostError(self._cluster.stranded)
 
     def _end(self, trial: Any, last: dict[str, Any]) -> None:
         self.ended += 1
