@@ -35,6 +35,7 @@ CELLS = {
     "own, all": ("own", EnvSettings().difficulty),
     "helios, easy": ("helios", "easy"),
     "helios, medium": ("helios", "medium"),
+    "helios, all": ("helios", EnvSettings().difficulty),
 }
 """Sources and difficulties of the targets."""
 

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from greenhouse_gym.build.workspace import DECIMALS, in_frame, keep_nearest, shoulder_point, within_reach
 from greenhouse_gym.capture.fingerprint import fingerprint
 from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.common.setting_checks import check_numbers
@@ -24,6 +23,7 @@ from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud
 from greenhouse_gym.reconstruction.occupancy_carving import CarvedSpace, CarvingSettings, carve
 from greenhouse_gym.scene import ArmPlacement, Provenance, Scene, Shapes
 from greenhouse_gym.scene.occupancy import UNKNOWN, OccupancyGrid
+from greenhouse_gym.scene.workspace import DECIMALS, REACH, in_frame, keep_nearest, shoulder_point, within_reach
 from greenhouse_gym.shapes import RowShapes, ShapeSettings
 
 
@@ -38,7 +38,7 @@ class BuildSettings:
     spacing: float = 0.5  # between the placements of two scenes of a row
     width: float = 1.6  # of a scene along the row
     stem_distance: float = 0.60  # from the arm's base axis to the stem line
-    reach: float = 1.35  # from the shoulder; farther shapes are left out
+    reach: float = REACH  # from the shoulder; farther shapes are left out
     max_shapes: int = 600  # in a scene; dense foliage seen from top to bottom has as many within reach
     max_targets: int | None = None  # in a scene, near and far ones; None for every tomato
     min_target_radius: float = 0.0075  # smaller tomatoes are not picked, so they are not targets

@@ -45,7 +45,7 @@ class CheckedObservation(OwnPart, ObservationSpec):
         self._boxes = boxes
         for name in (
             "layout", "cameras", "renders_arm", "renders_color", "requires_occupancy",
-            "requires_clearance_rays", "requires_roadmap", "target_is_obstacle", "has_goals",
+            "requires_roadmap", "target_is_obstacle", "has_goals",
         ):  # fmt: skip
             setattr(self, name, getattr(own, name, getattr(ObservationSpec, name)))
         goals = ("achieved_goal", "desired_goal")

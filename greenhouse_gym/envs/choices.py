@@ -41,7 +41,6 @@ from greenhouse_gym.robots import Robot
 OBSERVATIONS: Mapping[str, Callable[[Robot, Task], ObservationSpec]] = {
     "state": StateObservation,
     "state_occupancy": partial(StateObservation, extra=("unknown",)),
-    "clearance_rays": partial(StateObservation, extra=("clearance_rays",)),
     "roadmap": partial(StateObservation, extra=PATH_FEATURES, without=TOOL_FEATURES),
     "task": TaskObservation,
     "goal": GoalObservation,

@@ -84,7 +84,6 @@ class GreenhouseEnv(EnvMixin, gymnasium.Env[Observed, npt.NDArray[np.float32]]):
     | ``observation`` | key | shape, type | meaning |
     |---|---|---|---|
     | ``state_occupancy`` | (a vector) | (3 j + 18 + 5 k,) float32 | ``state``, then 1 per probe in unknown space |
-    | ``clearance_rays`` | (a vector) | (3 j + 18 + 4 k + 48,) float32 | ``state``, then clearances on rays, m |
     | ``roadmap`` | (a vector) | (5 j + 8 + 4 k,) float32 | part of ``state``, then waypoint and path, rad |
     | ``task`` | ``state`` | (3 j + 18,) float32 | ``state`` without its last two features |
     | | names of the task | | arrays that the task remembers, such as ``map`` of `TomatoLook` |
@@ -102,9 +101,6 @@ class GreenhouseEnv(EnvMixin, gymnasium.Env[Observed, npt.NDArray[np.float32]]):
     | ``rgbd`` | ``depth``, ``rgb``, ``state`` | | as above |
 
     - ``goal``: clearances include the target, so that the vector does not depend on it.
-    - ``clearance_rays``: distances to obstacles on 24 rays from the target's center toward the arm's side (azimuths by
-      `AZIMUTHS`, within each elevations by `ELEVATIONS`). For each ray, the smallest distance at 5 to 13 cm, where the
-      tool would be, and at 18 to 30 cm, where the wrist would be.
     - ``roadmap``: ``state`` without tip, tool axis, direction and turn. The waypoint is a goal configuration that a
       collision-free straight motion in the known scene reaches, or else the node with the shortest path in a tree that
       grows from the goal configurations. The vector holds its offset from the commanded joints and the action that

@@ -11,7 +11,6 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from greenhouse_gym.envs.actions import max_command_error
-from greenhouse_gym.envs.clearance_rays import NUM_CLEARANCES
 from greenhouse_gym.envs.state import ACTION_STEP, Float32, State, lengths
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.distance_field import MAX_DISTANCE
@@ -87,9 +86,6 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
         "path": Feature(
             lambda s: np.stack([s.path_length, s.path_free], axis=1),
             lambda r: (np.zeros(2), np.array([MAX_PATH_LENGTH, 1.0])),
-        ),
-        "clearance_rays": Feature(
-            lambda s: s.clearance_rays, lambda r: _between(MIN_CLEARANCE, MAX_DISTANCE, NUM_CLEARANCES)
         ),
     }
 )

@@ -54,7 +54,6 @@ class ObservationSpec(ABC):
         renders_arm: Depth images show the arm.
         renders_color: Color images are rendered as well.
         requires_occupancy: It reads `State.unknown`; every scene must have an occupancy grid.
-        requires_clearance_rays: It reads `State.clearance_rays`.
         requires_roadmap: It reads `State.waypoint`, `State.path_length` or `State.path_free`.
         target_is_obstacle: Clearances include the target.
         has_goals: It is an observation of a goal environment.
@@ -66,7 +65,6 @@ class ObservationSpec(ABC):
     renders_arm: bool = False
     renders_color: bool = False
     requires_occupancy: bool = False
-    requires_clearance_rays: bool = False
     requires_roadmap: bool = False
     target_is_obstacle: bool = False
     has_goals: bool = False
@@ -105,7 +103,7 @@ class StateObservation(ObservationSpec):
     Args:
         robot: The arm.
         task: The task.
-        extra: Names of further features to append: "unknown", "clearance_rays" or those in `PATH_FEATURES`.
+        extra: Names of further features to append: "unknown" or those in `PATH_FEATURES`.
         without: Names of features to leave out, such as `TOOL_FEATURES`.
     """
 
@@ -115,7 +113,6 @@ class StateObservation(ObservationSpec):
         self._vector = FeatureVector(robot, features)
         self.space, self.layout = self._vector.space, self._vector.layout
         self.requires_occupancy = "unknown" in extra
-        self.requires_clearance_rays = "clearance_rays" in extra
         self.requires_roadmap = not set(PATH_FEATURES).isdisjoint(extra)
 
     def __call__(self, state: State) -> Observed:

@@ -10,7 +10,6 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.common.executors import usable_cores
-from greenhouse_gym.envs.clearance_rays import NUM_CLEARANCES, clearance_rays
 from greenhouse_gym.envs.contacts import Contacts
 from greenhouse_gym.envs.observations import ObservationSpec
 from greenhouse_gym.envs.physics import AnyPhysics
@@ -66,8 +65,6 @@ class Perception:
         self._radius = np.zeros((count, 1))
         # read-only values of what is not required
         self._nothing, self._unset, self._false = np.empty((count, 0)), np.full(count, np.nan), np.zeros(count, bool)
-        rays = NUM_CLEARANCES if observe.requires_clearance_rays else 0
-        self._clearance_rays = np.empty((count, rays), dtype=np.float32)
         self._waypoints = WaypointTracker(count, len(robot.joints)) if requires_roadmap else None
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Perception:
@@ -105,9 +102,6 @@ class Perception:
         self._target[i] = world.tomatoes[target, :3] + disturbance.target
         self._goal[i], self._radius[i] = world.goal(target)
         self._ignored[i] = NO_TOMATO if self._observe.target_is_obstacle else target
-        if self._observe.requires_clearance_rays:
-            fields = self._worlds.fields
-            self._clearance_rays[i] = clearance_rays(fields, world.field, self._ignored[i], self._target[i])
         if self._waypoints is not None:
             center = self._frame[i, :3] + self._axes[i] @ self._target[i]
             goals = GoalSampler(world.roadmaps.compiled, target, start, center)
@@ -167,7 +161,6 @@ class Perception:
             remaining=self._remaining[ids].copy(),
             clearance=distance - self._probe_radii,
             obstacle=direction,
-            clearance_rays=self._clearance_rays[ids].copy(),
             waypoint=waypoint,
             path_length=path_length,
             path_free=path_free,

@@ -49,7 +49,7 @@ class EnvSettings:
             drawn from a few scenes at a time (`SceneWindow`); the seed of a reset restarts their order.
         split: "train", "validation" or "test".
         robot: Name of a shipped arm ("ur5e", "iiwa14"), an MJCF file, or a `Robot` of `load_robot`.
-        observation: "state", "state_occupancy", "clearance_rays", "roadmap", "task", "goal", "goal_roadmap",
+        observation: "state", "state_occupancy", "roadmap", "task", "goal", "goal_roadmap",
             "depth", "points", "rgb", "rgbd", settings of the last four, or your own `Observation`. Everything of your
             own is an object, ``"file.py:Name"``, ``"module:Name"``, or a mapping with such a name as ``class`` and its
             fields.

@@ -106,7 +106,6 @@ class State(NamedTuple):
         remaining: (n,) targets left in the episode, the current one included.
         clearance: (n, k) distance from the arm's surface at its probe points to the nearest obstacle, metres.
         obstacle: (n, k, 3) unit vectors from the probe points to that obstacle; zero beyond the maximum distance.
-        clearance_rays: (n, `NUM_CLEARANCES`) clearances on rays from the target, metres; (n, 0) unless requested.
         waypoint: (n, j) offset from the commanded joints to the roadmap's waypoint, radians; (n, 0) unless requested.
         path_length: (n,) length of the path from the waypoint to the goal, radians; NaN unless requested.
         path_free: (n,) whether the straight motion to the waypoint is collision-free; False unless requested.
@@ -136,7 +135,6 @@ class State(NamedTuple):
     remaining: npt.NDArray[np.int64]
     clearance: Float32
     obstacle: Float32
-    clearance_rays: Float32
     waypoint: Array
     path_length: Array
     path_free: Bools

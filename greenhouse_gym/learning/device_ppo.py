@@ -68,6 +68,7 @@ def train_ppo_on_device(
     require_seed(settings.seed)
     out = Path(out)
     check_whole("minibatches", settings.minibatches, 1, settings.num_envs * settings.rollout_steps)
+    torch.set_float32_matmul_precision("high")  # TF32 on a GPU
     with exclusive(out):
         check_folder(out / CHECKPOINT, dict, {}, "", resume=False)
         training = DevicePpo(settings)

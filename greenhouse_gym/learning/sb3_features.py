@@ -33,7 +33,6 @@ CENTERS_AND_SCALES: dict[str, tuple[float, float]] = {
     "waypoint_offset": (0.0, 1.0),
     "waypoint_direction": (0.0, 0.5),
     "path": (0.5, 0.5),
-    "clearance_rays": (0.1, 0.1),
 }
 """Typical center and scale of each feature, which normalize it to about one. Features of other tasks are not scaled."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable
 from hashlib import sha256
 from pathlib import Path
@@ -16,7 +17,7 @@ from greenhouse_gym.planning.rated_banks import load_rated, new_folder, with_sou
 from greenhouse_gym.robots import Robot, get_robot
 from greenhouse_gym.scene import Scene, SceneBank, compile_scene
 from greenhouse_gym.scene.bank import write_bank
-from greenhouse_gym.scene.composition import composed_scene, plants_of
+from greenhouse_gym.scene.composition import Plant, composed_scene, plants_of
 from greenhouse_gym.scene.manifest import SceneEntry, Split, make_manifest
 
 SPLIT: Split = "train"
@@ -58,15 +59,18 @@ class ComposedBank(SceneBank):
         self._source, self._robot = SceneBank.open(source), get_robot(robot)
         self._seed, self._targets = require_seed(seed), check_whole("targets", targets, 1)
         count = check_whole("count", count, 1)
-        donors: dict[tuple[str | None, str | None], list[str]] = {}
+        self._plant_kinds: list[tuple[str | None, str | None]] = []  # source and style of each scene
+        self._bases, self._donors = defaultdict[Any, list[str]](list), defaultdict[Any, list[list[Plant]]](list)
         for entry in self._source.manifest.scenes:
-            if entry.split == SPLIT and plants_of(self._source.scene(entry.name)):
-                donors.setdefault((entry.source, entry.style), []).append(entry.name)
-        if not donors:
+            if entry.split == SPLIT and (plants := plants_of(self._source.scene(entry.name))):
+                kind = entry.source, entry.style
+                self._plant_kinds.append(kind)
+                self._bases[kind].append(entry.name)
+                self._donors[kind].append(plants)
+        if not self._plant_kinds:
             raise InvalidValueError(f"bank {self._source.path} has no training scene with a complete plant")
-        self._donors = donors
-        self._bases = sorted(name for names in donors.values() for name in names)
-        self._largest = max(self._source.scene(name).count for name in self._bases)
+        counts = [self._source.scene(name).count for names in self._bases.values() for name in names]
+        self._largest = max(counts)
         name = f"{self._source.manifest.name}-composed"
         entries = (f"{name}-{self._seed}-{i:06}" for i in range(count))
         described = f"Composed with seed {self._seed} of {self._source.manifest.name}, {self._source.sha256}."
@@ -116,15 +120,17 @@ class ComposedBank(SceneBank):
             InvalidValueError: No attempt gave a stand in which the arm starts free and reaches a tomato.
         """
         rng = np.random.default_rng([self._seed, int(entry.name.rpartition("-")[2])])
+        kind = self._plant_kinds[int(rng.integers(len(self._plant_kinds)))]
+        bases, donors = self._bases[kind], self._donors[kind]
+
+        def draw() -> Plant:
+            plants = donors[int(rng.integers(len(donors)))]
+            return plants[int(rng.integers(len(plants)))]
+
         for _ in range(_ATTEMPTS):
-            base = self._source.scene(self._bases[int(rng.integers(len(self._bases)))])
-            names = self._donors[base.provenance.source, base.provenance.style]
-
-            def draw(names: list[str] = names) -> Scene:
-                return self._source.scene(names[int(rng.integers(len(names)))])
-
-            scene = composed_scene(base, draw, rng, entry.name)
-            if not scene.tomatoes or scene.count > self._largest or not _starts_free(scene, self._robot):
+            base = self._source.scene(bases[int(rng.integers(len(bases)))])
+            scene = composed_scene(base, draw, rng, entry.name, self._largest)
+            if not scene.tomatoes or not _starts_free(scene, self._robot):
                 continue
             targets = certify_targets(scene, self._robot, max_targets=self._targets)
             if any(target.witness for target in targets):

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import TypeAlias
 
 import numpy as np
 
 from greenhouse_gym.crops.crop import PlantMotion
 from greenhouse_gym.crops.parts import Stem, Tomato, is_leaf
+from greenhouse_gym.crops.shape_tables import ShapeParts
 from greenhouse_gym.geometry import Array, Box, Capsule, Sphere, distance_to_capsules, pose, rotation_about
 from greenhouse_gym.geometry.shapes import AnyShape, mirrored, transformed
 from greenhouse_gym.scene.obstacles import Shapes
 from greenhouse_gym.scene.plant_motion import move_plants, nearest_truss
 from greenhouse_gym.scene.scene import Provenance, Scene
+from greenhouse_gym.scene.workspace import REACH, keep_nearest, within_reach
 
 HALF_WIDTH = 0.8
 """Half width of a scene along the row, metres."""
@@ -28,7 +31,13 @@ _SAME_PLANT = 0.2  # distance along the row below which two stems belong to one 
 _SPACING = 0.5  # between plants beyond those of the scene, metres
 
 
-def composed_scene(base: Scene, draw: Callable[[], Scene], rng: np.random.Generator, name: str) -> Scene:
+Plant: TypeAlias = tuple[Array, Shapes]
+"""Foot (2,) of a plant's stem, x and y, metres, and its shapes."""
+
+
+def composed_scene(
+    base: Scene, draw: Callable[[], Plant], rng: np.random.Generator, name: str, max_shapes: int
+) -> Scene:
     """Compose a stand: the placement, fixtures and spacing of a scene, with plants of others.
 
     The row is shifted along y, each plant is mirrored at random, turned and shifted, and all plants move a little.
@@ -36,9 +45,10 @@ def composed_scene(base: Scene, draw: Callable[[], Scene], rng: np.random.Genera
 
     Args:
         base: Scene of the stand.
-        draw: Function that draws a scene of the same kind of plants.
+        draw: Function that draws a plant of the same kind.
         rng: Source of all randomness.
         name: Name of the new scene.
+        max_shapes: Maximum number of shapes; the farthest are left out, as from scanned rows.
     """
     feet = np.array([foot for foot, _ in _stands(base)])
     if not len(feet):
@@ -49,7 +59,7 @@ def composed_scene(base: Scene, draw: Callable[[], Scene], rng: np.random.Genera
         slots.insert(0, slots[0] - [0.0, _SPACING])
     while slots[-1][1] + shift < HALF_WIDTH + ROOM:
         slots.append(slots[-1] + [0.0, _SPACING])
-    grown = [_placed(foot + [SHIFT * rng.normal(), shift], _drawn(draw, rng), rng) for foot in slots]
+    grown = [_placed(foot + [SHIFT * rng.normal(), shift], draw(), rng) for foot in slots]
     trusses = np.cumsum([0, *(1 + max((t.truss for t in plant.tomatoes), default=-1) for plant in grown)])
     whole = Shapes(
         tomatoes=tuple(
@@ -68,18 +78,19 @@ def composed_scene(base: Scene, draw: Callable[[], Scene], rng: np.random.Genera
         ),
     )
     moved = move_plants(whole, PlantMotion(), rng)
+    near = within_reach(ShapeParts(moved.tomatoes, moved.stems, moved.clutter), REACH)
     origin = base.provenance
     provenance = Provenance(row=name, style=origin.style, source=origin.source, protocol=origin.protocol)
-    parts = {part: getattr(moved, part) for part in ("tomatoes", "stems", "clutter")}
-    return Scene(name=name, placement=base.placement, provenance=provenance, **parts)
+    kept = keep_nearest(near, max_shapes)
+    return Scene(name=name, placement=base.placement, provenance=provenance, **kept._asdict())
 
 
-def plants_of(scene: Scene) -> list[tuple[Array, Shapes]]:
-    """Return the complete plants of a scene, each with the foot (2,) of its stem, x and y, metres."""
+def plants_of(scene: Scene) -> list[Plant]:
+    """Return the complete plants of a scene."""
     return [(foot, plant) for foot, plant in _stands(scene) if abs(foot[1]) <= HALF_WIDTH - ROOM]
 
 
-def _stands(scene: Scene) -> list[tuple[Array, Shapes]]:
+def _stands(scene: Scene) -> list[Plant]:
     """Return all plants of a scene along the row; each shape but the fixtures belongs to the nearest stem."""
     stems = sorted((stem for stem in scene.stems if stem.kind == "main"), key=_along_row)
     if not stems:
@@ -120,16 +131,7 @@ def _stands(scene: Scene) -> list[tuple[Array, Shapes]]:
     return result
 
 
-def _drawn(draw: Callable[[], Scene], rng: np.random.Generator) -> tuple[Array, Shapes]:
-    """Draw a plant at random.
-
-    The caller's scenes have complete plants; one with none gives nothing to the stand.
-    """
-    plants = plants_of(draw())
-    return plants[int(rng.integers(len(plants)))] if plants else (np.zeros(2), Shapes())
-
-
-def _placed(foot: Array, plant: tuple[Array, Shapes], rng: np.random.Generator) -> Shapes:
+def _placed(foot: Array, plant: Plant, rng: np.random.Generator) -> Shapes:
     """Return a plant at another foot, mirrored at random and turned about its stem."""
     old, shapes = plant
     flip = np.array([1.0, rng.choice([-1.0, 1.0]), 1.0])

@@ -17,7 +17,6 @@ from greenhouse_gym.build import bank_builder as build
 from greenhouse_gym.build import build_bank, default_splits
 from greenhouse_gym.build import scenes as cutting
 from greenhouse_gym.build.scenes import BuildSettings, cut_scenes, level, placement_positions
-from greenhouse_gym.build.workspace import in_frame, middle
 from greenhouse_gym.capture import Recording, RgbdFrame, Station, write_recording
 from greenhouse_gym.common.files import exclusive
 from greenhouse_gym.crops import PlantRow
@@ -27,6 +26,7 @@ from greenhouse_gym.geometry import Box, Sphere, distance_to_shapes, pose, rotat
 from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud, RowReport
 from greenhouse_gym.scene import Provenance, Scene, SceneBank, Target
 from greenhouse_gym.scene.manifest import MANIFEST
+from greenhouse_gym.scene.workspace import in_frame, middle
 from greenhouse_gym.shapes import RowShapes, ShapeSettings, extract_shapes
 
 
@@ -536,7 +536,7 @@ def test_a_bank_from_a_recording_on_disk(tmp_path: Path, monkeypatch: pytest.Mon
     """Every stage is the real one, but for the certificates."""
     from greenhouse_gym.capture import open_recording
 
-    monkeypatch.setattr(build, "certify_targets", lambda scene, robot, most, smallest: ())
+    monkeypatch.setattr(build, "certify_targets", lambda scene, robot, max_targets, min_radius: ())
     opened = open_recording(write_recording(half_recording(), tmp_path / "recording"))
     bank = build_bank([opened], tmp_path / "bank", "real", on_progress=lambda text: None)
     (scene,) = bank

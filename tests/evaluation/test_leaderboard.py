@@ -270,7 +270,7 @@ def test_what_is_on_the_leaderboard_comes_out_again(path: Path) -> None:
     track = next(iter(entry.tracks))
     records = entry.evaluation(track).records
     seconds = sum(record.planning_time + record.steps * record.action_time for record in records) / len(records)
-    _comes_out_again(entry, track, episodes=10 if seconds < 1.0 else 2)
+    _comes_out_again(entry, track, episodes=6 if seconds < 1.0 else 2)
 
 
 @pytest.mark.slow

@@ -14,6 +14,7 @@ from greenhouse_gym.planning import ComposedBank
 from greenhouse_gym.planning.audit import witness_faults
 from greenhouse_gym.scene import Scene, SceneBank
 from greenhouse_gym.scene.composition import HALF_WIDTH, ROOM, composed_scene, plants_of
+from greenhouse_gym.scene.obstacles import Shapes
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +63,7 @@ def test_plants_make_up_their_scene() -> None:
             assert abs(np.mean([stem.start[1] for stem in stems]) - foot[1]) < 0.2
     bare = scene.model_copy(update={"stems": ()})
     assert plants_of(bare) == []
-    empty = composed_scene(bare, lambda: bare, np.random.default_rng(0), "empty")
+    empty = composed_scene(bare, lambda: (np.zeros(2), Shapes()), np.random.default_rng(0), "empty", 600)
     assert len(empty.tomatoes) == 0
 
 

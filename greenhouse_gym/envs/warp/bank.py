@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from greenhouse_gym.common.executors import usable_cores
 from greenhouse_gym.envs.episodes import UNRATED, EpisodeSampler
 from greenhouse_gym.envs.warp.arm import Ints, matrix
 from greenhouse_gym.envs.worlds import spheres_in_base
@@ -17,7 +20,7 @@ from greenhouse_gym.geometry import Array, Box, ShapeArrays, arrays_of, pose, ro
 from greenhouse_gym.geometry.shape_arrays import BOX, CAPSULE, SPHERE
 from greenhouse_gym.motion.distance_field import NODE, SHAPE, obstacle_field
 from greenhouse_gym.robots import Robot
-from greenhouse_gym.scene import DIFFICULTIES, Scene, compile_scene
+from greenhouse_gym.scene import DIFFICULTIES, ArmPlacement, Provenance, Scene, compile_scene
 from greenhouse_gym.scene.mjcf import base_position
 from greenhouse_gym.scene.obstacle_slots import MIN_LENGTH
 from greenhouse_gym.scene.truth import true_scene
@@ -136,19 +139,16 @@ def bank_of(scenes: Sequence[Scene], sampler: EpisodeSampler, physics: str) -> B
         InvalidValueError: A scene carries no truth although the physics need it.
     """
     robot, truth = sampler.robot, physics == "truth"
-    placements, tables = [], []
+    placements: list[_Placement] = []
+    tables = []
     columns: dict[str, list[Any]] = {name: [] for name in ("scene", "tomato", "shape", "target", "goal", "radius")}
     ratings: list[int] = []
-    fields = np.empty((len(scenes), *SHAPE), dtype=NODE)
     for s, scene in enumerate(scenes):
         physical = true_scene(scene) if truth else scene
-        placement = _Placement.of(scene, robot)
+        placement = _placement(scene.placement.model_dump_json(), robot)
         placements.append(placement)
         cart = placement.cart
         tables.append(_table(cart, physical.arrays))
-        obstacle_field(
-            scene.arrays, len(scene.tomatoes), placement.scene_from_base, fields[s].reshape(-1).view(np.uint64)
-        )
         targets = spheres_in_base(scene, placement.scene_from_base).astype(np.float32).astype(np.float64)
         goals, bodies = targets, np.arange(len(targets))
         if truth:
@@ -176,7 +176,7 @@ def bank_of(scenes: Sequence[Scene], sampler: EpisodeSampler, physics: str) -> B
         **{name: whole[name].astype(np.int32) for name in ("scene", "tomato", "shape")},
         **{name: whole[name] for name in ("target", "goal", "radius")},
     )
-    return Bank(arrays, _joined(tables), fields)
+    return Bank(arrays, _joined(tables), _fields(scenes, placements))
 
 
 def draw_table(scenes: Sequence[Scene], sampler: EpisodeSampler, tomato_first: Ints) -> DrawTable:
@@ -211,18 +211,34 @@ class _Placement(NamedTuple):
     floor: float
     cart: ShapeArrays
 
-    @classmethod
-    def of(cls, scene: Scene, robot: Robot) -> _Placement:
-        bare = scene.model_copy(update={"tomatoes": (), "stems": (), "clutter": (), "targets": ()})
-        compiled = compile_scene(bare, robot)
-        model = compiled.model
-        fixtures = range(model.geom("floor").id + 1, compiled.obstacle_geoms.start)
-        return cls(
-            pose(rotation_about([0, 0, 1], scene.placement.yaw), base_position(scene, robot)),
-            matrix(model.body_quat[1]),
-            float(model.geom("floor").pos[2]),
-            arrays_of([Box(model.geom_pos[g], model.geom_size[g], matrix(model.geom_quat[g])) for g in fixtures]),
-        )
+
+@lru_cache(maxsize=4096)
+def _placement(written: str, robot: Robot) -> _Placement:
+    """Compute what a placement of the arm, written as JSON, gives; composed scenes share those of their stands."""
+    placement = ArmPlacement.model_validate_json(written)
+    scene = Scene(name="placement", placement=placement, provenance=Provenance(row=""))
+    compiled = compile_scene(scene, robot)
+    model = compiled.model
+    fixtures = range(model.geom("floor").id + 1, compiled.obstacle_geoms.start)
+    return _Placement(
+        pose(rotation_about([0, 0, 1], placement.yaw), base_position(scene, robot)),
+        matrix(model.body_quat[1]),
+        float(model.geom("floor").pos[2]),
+        arrays_of([Box(model.geom_pos[g], model.geom_size[g], matrix(model.geom_quat[g])) for g in fixtures]),
+    )
+
+
+def _fields(scenes: Sequence[Scene], placements: Sequence[_Placement]) -> npt.NDArray[np.void]:
+    """Return the nodes (s, nodes) of the distance fields, computed on all cores."""
+    fields = np.empty((len(scenes), *SHAPE), dtype=NODE)
+
+    def fill(scene: Scene, placement: _Placement, nodes: npt.NDArray[np.void]) -> None:
+        out = nodes.reshape(-1).view(np.uint64)
+        obstacle_field(scene.arrays, len(scene.tomatoes), placement.scene_from_base, out)
+
+    with ThreadPoolExecutor(usable_cores()) as threads:
+        list(threads.map(fill, scenes, placements, fields))
+    return fields
 
 
 def _table(cart: ShapeArrays, shapes: ShapeArrays) -> ShapeTable:

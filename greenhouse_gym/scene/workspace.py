@@ -12,10 +12,13 @@ from scipy.spatial.transform import Rotation
 from greenhouse_gym.crops.parts import Stem, Tomato
 from greenhouse_gym.crops.shape_tables import ShapeParts
 from greenhouse_gym.geometry import Array, Box, Capsule, Ellipsoid, Shape, Sphere, distance_to_shapes, transform
-from greenhouse_gym.scene import ArmPlacement
+from greenhouse_gym.scene.obstacles import ArmPlacement
 
 DECIMALS = 5
 """Decimals of a length in a scene, metres: 0.01 mm."""
+
+REACH = 1.35
+"""Distance from the shoulder at which shapes are left out of a scene, metres."""
 
 Part = TypeVar("Part", bound=Tomato | Shape)
 
