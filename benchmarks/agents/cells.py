@@ -25,17 +25,17 @@ from benchmarks.common import RESULTS, parser, read_entry, write_entry
 from greenhouse_gym.agents import PolicyAgent, ShieldedAgent
 from greenhouse_gym.agents.agent import Agent
 from greenhouse_gym.agents.policy_agent import shipped_policies
-from greenhouse_gym.envs import make_vec
+from greenhouse_gym.envs import EnvSettings, make_vec
 from greenhouse_gym.evaluation import evaluate
-from greenhouse_gym.scene import DIFFICULTIES, SceneBank
+from greenhouse_gym.scene import SceneBank
 
 CELLS = {
     "own, easy": ("own", "easy"),
     "own, medium": ("own", "medium"),
-    "own, all": ("own", DIFFICULTIES),
+    "own, all": ("own", EnvSettings().difficulty),
     "helios, easy": ("helios", "easy"),
     "helios, medium": ("helios", "medium"),
-    "helios, all": ("helios", DIFFICULTIES),
+    "helios, all": ("helios", EnvSettings().difficulty),
 }
 """Sources and difficulties of the targets."""
 
@@ -80,9 +80,16 @@ def outcomes_in(agent: Agent, cell: str, episodes: int, split: str = "test") -> 
 
 
 def where(cell: str, split: str) -> dict[str, Any]:
-    """Return the keywords of a cell's environment."""
+    """Return the keywords of a cell's environment; in the training split, it has the rows that are left out."""
     source, difficulty = CELLS[cell]
-    return {"bank": SceneBank.open("default").select(split=split, source=source), "difficulty": difficulty}
+    rows = left_out_rows() if split == "train" else None
+    return {"bank": SceneBank.open("default").select(split=split, source=source, row=rows), "difficulty": difficulty}
+
+
+def left_out_rows() -> list[str]:
+    """Return own rows of the training split for choices that must not be made on test rows, left out of trainings."""
+    own = SceneBank.open("default").select(split="train", source="own")
+    return sorted({entry.row for entry in own.manifest.scenes})[::5]
 
 
 @cache

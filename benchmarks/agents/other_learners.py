@@ -1,6 +1,6 @@
 """Measure how far SAC, and PPO with CleanRL's settings, get on the default environment in ten minutes.
 
-python -m benchmarks.agents.other_learners --minutes 10
+python -m benchmarks.agents.other_learners --minutes 10 --seeds 0 1 2
 
 SAC is Stable-Baselines3's with all its defaults. PPO is Stable-Baselines3's with the settings and wrappers of CleanRL's
 ``ppo_continuous_action``. Both train on one simulation of ``gymnasium.make("TomatoReach-v0")``; afterwards they play
@@ -10,6 +10,7 @@ easy targets of test rows.
 from __future__ import annotations
 
 import time
+from itertools import product
 from typing import Any
 
 import gymnasium
@@ -21,8 +22,11 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 import greenhouse_gym  # noqa: F401 - registers the environments
 from benchmarks.agents.cells import outcomes_in
-from benchmarks.common import RESULTS, parser, write_entry
+from benchmarks.common import RESULTS, parser, read_entry, write_entry
+from greenhouse_gym.envs import EnvSettings
 from greenhouse_gym.learning.sb3 import Sb3Agent
+
+RESULT = RESULTS / "other_learners.json"
 
 LEARNERS = ("SAC", "PPO as in CleanRL")
 
@@ -46,11 +50,11 @@ class Deadline(BaseCallback):  # type: ignore[misc]
         return left > 0
 
 
-def learner(name: str, seed: int) -> Any:
-    """Return an untrained model on one default environment."""
+def learner(name: str, seed: int, action: str) -> Any:
+    """Return an untrained model on one environment."""
 
     def make() -> gymnasium.Env[Any, Any]:
-        return gymnasium.make("TomatoReach-v0")
+        return gymnasium.make("TomatoReach-v0", action=action)
 
     if name == "SAC":
         return SAC("MlpPolicy", make(), seed=seed, device="cpu")
@@ -62,22 +66,26 @@ def learner(name: str, seed: int) -> Any:
 
 
 def main() -> None:
-    """Train, play and write the figures."""
+    """Train, play and write the figures of each training."""
     command = parser(__doc__)
     command.add_argument("--learners", nargs="+", choices=LEARNERS, default=LEARNERS)
     command.add_argument("--minutes", type=float, default=10.0, help="of processor time, for each training")
-    command.add_argument("--seed", type=int, default=0)
+    command.add_argument("--seeds", type=int, nargs="+", default=[0])
+    command.add_argument("--action", default=EnvSettings().action)
     command.add_argument("--episodes", type=int, default=500)
     a = command.parse_args()
     torch.set_num_threads(1)
-    for name in a.learners:
-        model, limit = learner(name, a.seed), Deadline(60 * a.minutes)
+    for seed, name in product(a.seeds, a.learners):
+        model, limit = learner(name, seed, a.action), Deadline(60 * a.minutes)
         model.learn(STEPS, callback=limit)
-        figures = {"seed": a.seed, "minutes": a.minutes, "steps": model.num_timesteps, "curve": limit.curve}
-        agent = Sb3Agent(model, name, env_options={})
-        figures |= {cell: outcomes_in(agent, cell, a.episodes) for cell in ("own, easy", "helios, easy")}
-        print(name, figures, flush=True)
-        write_entry(RESULTS / "other_learners.json", name, figures)
+        entry = {"steps": model.num_timesteps, "curve": limit.curve}
+        agent = Sb3Agent(model, name)
+        entry |= {cell: outcomes_in(agent, cell, a.episodes) for cell in ("own, easy", "helios, easy")}
+        print(name, seed, entry, flush=True)
+        about = {"minutes": a.minutes, "action": a.action, "episodes": a.episodes}
+        figures = about | {"seeds": {}} | read_entry(RESULT, f"{name}, {a.action}", about)
+        figures["seeds"][str(seed)] = entry
+        write_entry(RESULT, f"{name}, {a.action}", figures)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from functools import lru_cache
 from typing import Protocol
@@ -22,6 +22,9 @@ _PULLING, _PULLS = 0.06, 36  # m/s, and actions of turning and pulling at most
 _RETREAT, _RETREATS = 0.05, 20  # metres by which the tip withdraws, and actions at most
 _BACK, _FASTER = 0.25, 0.05  # m/s at most, and m/s by which it becomes faster per action
 _YIELDING = 0.012  # m/s per N: the tip yields to what pushes the held fruit
+_RAMP, _SLOWEST = 5, 0.1  # actions until a gentle motion has its full speed, and smallest fraction of it
+# see _pulls: a pedicel parts at 8 N, and 2 N bend a truss too far
+_ON_TRUSS, _OFF = (2.0, 12.0, 0.02), (0.5, 4.0, 0.05)
 _SHRUNK, _STEP = 0.9, 0.004  # radius of a held fruit in plans over its own, and metres to which it is rounded up
 _DAMPING = 0.05  # metres per radian: of the inverse kinematics
 _GUESSES, _ENDS = 400, 200  # configurations from which inverse kinematics starts above the crate, and results at most
@@ -65,17 +68,16 @@ class Hand(Protocol):
         """Return the fruit that hang."""
 
 
-def close_gap(hand: Hand, fruit: int) -> Iterator[Twist]:
-    """Bring the cup to a fruit until it holds one."""
-    for _ in range(_REACHES):
+def close_gap(hand: Hand, fruit: int, speed: float = _CLOSING) -> Iterator[Twist]:
+    """Bring the cup to a fruit until it holds one, at a speed, m/s, at most."""
+    for _ in range(round(_REACHES * _CLOSING / speed)):
         if hand.held >= 0:
             return
         tip, axis = hand.tip
         offset = hand.center(fruit) - tip
         distance = float(np.linalg.norm(offset))
         gap = distance - hand.radius(fruit) - _CONTACT
-        speed = np.clip(gap / hand.interval, -_CLOSING, _CLOSING)
-        yield offset / distance * speed, 2 * np.cross(axis, offset / distance)
+        yield offset / distance * np.clip(gap / hand.interval, -speed, speed), 2 * np.cross(axis, offset / distance)
 
 
 def turns(hand: Hand, fruit: int) -> Iterator[Array]:
@@ -122,6 +124,30 @@ def withdraw(hand: Hand, direction: Array) -> Iterator[Twist]:
         if (hand.tip[0] - start) @ direction > clear or hand.held < 0:
             return
         yield direction * min(_BACK, _FASTER * step) + _YIELDING * hand.force, _STILL
+
+
+def gently(hand: Hand, twists: Iterable[Twist]) -> Iterator[Twist]:
+    """Begin motions slowly, slow them down as something pulls at the held fruit, and yield to what pulls firmly."""
+    for step, (velocity, spin) in enumerate(twists, 1):
+        fraction = min(step / _RAMP, ease(hand))
+        yield velocity * fraction + yielding(hand), spin * fraction
+
+
+def ease(hand: Hand) -> float:
+    """Return the fraction of its pace, up to 1, at which the tip may move while something pulls at the held fruit."""
+    light, firm, _ = _pulls(hand)
+    return float(np.clip((firm - np.linalg.norm(hand.force)) / (firm - light), _SLOWEST, 1.0))
+
+
+def yielding(hand: Hand) -> Array:
+    """Return the velocity (3,) at which the tip yields to what pulls at the held fruit, m/s."""
+    light, _, speed = _pulls(hand)
+    return np.asarray(speed * max(0.0, 1.0 - light / max(float(np.linalg.norm(hand.force)), 1e-9)) * hand.force)
+
+
+def _pulls(hand: Hand) -> tuple[float, float, float]:
+    """Return the pulls from which a gentle motion slows down and is slowest, N, and m/s per N it yields."""
+    return _ON_TRUSS if hand.held in hand.hanging() else _OFF
 
 
 def joint_change(jacobian: Array, twist: Twist, interval: float, steps: Array) -> Array:

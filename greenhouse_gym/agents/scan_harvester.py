@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Generator, Iterator, Mapping
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +13,8 @@ from greenhouse_gym.agents.agent import NamedAgent, Problem, action_towards
 from greenhouse_gym.agents.picking import (
     Twist,
     close_gap,
+    ease,
+    gently,
     part,
     pointing_down,
     retreats,
@@ -21,63 +22,55 @@ from greenhouse_gym.agents.picking import (
     turns,
     with_fruit,
     withdraw,
+    yielding,
 )
-from greenhouse_gym.agents.planner_agent import default_margin, default_unknown, safe_commands
+from greenhouse_gym.agents.scanned_paths import Level, ScannedPaths
 from greenhouse_gym.agents.scanned_stand import ScannedStand
 from greenhouse_gym.agents.sensed_hand import ImaginedHand, SensedHand
 from greenhouse_gym.envs.image_observations import RgbObservation
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array, arrays_of, distance_to_nearest
 from greenhouse_gym.motion.arm_spheres import arm_spheres
-from greenhouse_gym.planning import plan
 from greenhouse_gym.rendering.cameras import DepthCamera
-from greenhouse_gym.robots import Robot
 from greenhouse_gym.robots.kinematics import tool_state
-from greenhouse_gym.scene import Scene
 
 Action = npt.NDArray[np.float32]
-
-
-class _Level(NamedTuple):
-    """Caution of a plan.
-
-    Attributes:
-        leaves: How leaves count, see `greenhouse_gym.planning.plan`.
-        around: Metres by which the crate is thickened.
-        apart: Metres by which fruit except the target, and stems, are thickened.
-        cautious: Keep away from leaves and out of space that the scan did not see.
-    """
-
-    leaves: str
-    around: float
-    apart: float
-    cautious: bool
 
 
 IMAGE = (64, 48)
 """Width and height of the camera's images, pixels."""
 
-_CHECKS, _GOALS = 40_000, 30  # collision checks of a plan, and configurations at a fruit
+_GOALS = 30  # configurations at a fruit
 _LEVELS = (
-    _Level("rigid", 0.04, 0.012, True), _Level("rigid", 0.04, 0.0, True), _Level("rigid", 0.04, 0.0, False),
-    _Level("brush", 0.04, 0.0, False), _Level("brush", 0.0, 0.0, False),
+    Level("rigid", 0.04, 0.012, True), Level("rigid", 0.04, 0.0, True), Level("rigid", 0.04, 0.0, False),
+    Level("brush", 0.04, 0.0, False), Level("brush", 0.0, 0.0, False),
 )  # fmt: skip
+_CARRIED = tuple(
+    Level(leaves, 0.02, apart, False) for leaves in ("rigid", "brush") for apart in (0.012, 0.0)
+)  # on the way to the crate
+_DELIVERIES = 8  # plans to the crate, in the latter half through leaves
+_BLOCKED = 9.0  # N: pull at a held fruit that stops the arm on its way back
+_STOPPED = 4.0  # N: pull at a held fruit that stops the arm on its way to the crate
 _FIRST = 3  # levels of the first try of a fruit
+_PLANS, _LOOKS = 3, 4  # plans of an approach, and actions until it looks again for what is in its way
 _TRIES = 3  # picks of a fruit before it is given up
 _BACK = 10  # actions by which the arm goes back the way it came where there is no path
 _CLEAR, _REACHED = 0.12, 0.01  # metres from plants at which the arm is clear of them; radians from a waypoint
 _DROPS = 3  # actions to let go
 _KEPT, _LARGEST = 0.008, 0.1  # metres that turning and withdrawing keep from known fruit and stems; largest radius
 _LIFTS = 6  # actions by which the arm goes back after it has let go
+_SETTLES = 3  # actions at rest in front of a fruit
+_CLOSING, _PRESSED = 0.05, 0.0012  # m/s to a fruit, and metres by which a tip deflects that presses with 5 N
 _ABOVE = 0.02  # metres above the rim of the crate
 
 
 class ScanHarvester(NamedAgent):
     """Pick the fruit that the scan shows one after the other, and follow them with the camera at the wrist.
 
-    It plans in the scan to the nearest fruit, closes the gap by what the camera sees of it, turns it about the presumed
-    joint of its pedicel until the force at the wrist says that it is off, withdraws, and plans to the crate. It never
-    sees the true plants; which fruit are to be picked is a part of the problem.
+    It plans in the scan to the nearest fruit, around what the camera sees and the scan lacks, closes the gap, turns the
+    fruit gently about the presumed joint of its pedicel until the force at the wrist says that it is off, withdraws,
+    yielding to whatever pulls at the fruit, and plans to the crate. Where there is no path it goes back the way it
+    came. It never sees the true plants; which fruit are to be picked is a part of the problem.
 
     Args:
         name: Name in tables.
@@ -123,6 +116,7 @@ class _Harvest:
         self._trail: list[Array] = []
         self._picked = 0
         self._stand = ScannedStand(problem, hand)
+        self._paths = ScannedPaths(problem, hand, self._stand)
 
     def run(self) -> Iterator[Action]:
         """Yield the actions, at last without end."""
@@ -142,16 +136,12 @@ class _Harvest:
     def _pick(self, fruit: int) -> Iterator[Action]:
         hand = self._hand
         hand.working, hand.parting = fruit, False
-        for level in _LEVELS if self._tries[fruit] else _LEVELS[:_FIRST]:
-            scene = self._stand.scene(level.around, level.apart, fruit)
-            commands = self._commands(scene, fruit, self._robot, _GOALS, level)
-            if commands is not None:
-                break
-        else:
+        if not (yield from self._approach(fruit)):
             yield from self._retrace(False, _BACK)
             return
-        yield from self._follow(commands, False)
-        yield from self._move(close_gap(hand, fruit))
+        for _ in range(_SETTLES):
+            yield self._action(np.zeros(len(hand.command)), False)
+        yield from self._move(close_gap(hand, fruit, _CLOSING))
         if hand.holds:
             hand.begin(fruit)
             axis, direction = self._choose(fruit)
@@ -163,6 +153,20 @@ class _Harvest:
             yield from self._deliver(fruit)
         else:
             yield from self._retrace(False)
+
+    def _approach(self, fruit: int) -> Generator[Action, None, bool]:
+        """Follow a path to a fruit, and plan again where the camera sees something in its way; return success."""
+        for attempt in range(_PLANS):
+            for level in _LEVELS if self._tries[fruit] else _LEVELS[:_FIRST]:
+                scene = self._stand.scene(level.around, level.apart, fruit, level.cautious)
+                commands = self._paths.commands(scene, fruit, self._robot, _GOALS, level)
+                if commands is not None:
+                    break
+            else:
+                return False
+            if (yield from self._follow(commands, False, level.cautious and attempt < _PLANS - 1)):
+                return True
+        return False
 
     def _choose(self, fruit: int) -> tuple[Array, int]:
         """Return the axis to turn a held fruit about and the number of the direction to withdraw in.
@@ -196,18 +200,17 @@ class _Harvest:
         return axis, direction
 
     def _deliver(self, fruit: int) -> Iterator[Action]:
-        """Bring a fruit back the way the arm came, and from there to the crate."""
+        """Bring a fruit to the crate, as far as there is no path the way the arm came."""
         hand = self._hand
-        loaded, scene = with_fruit(self._robot, hand.radius(fruit)), self._stand.scene(0.0)
-        level = _Level("rigid", 0.0, 0.0, False)
-        yield from self._retrace(True)
-        while hand.holds:
+        loaded = with_fruit(self._robot, hand.radius(fruit))
+        for attempt in range(_DELIVERIES):
             goals = pointing_down(hand.chain, self._robot, hand.command, self._above_crate(), self._problem.seed)
-            commands = self._commands(scene, self._farthest(scene), loaded, goals, level)
-            if commands is not None:
-                yield from self._follow(commands, True)
-                break
-            if len(self._trail) < 2:
+            for level in _CARRIED[:2] if attempt < _DELIVERIES // 2 else _CARRIED:
+                scene = self._stand.scene(level.around, level.apart)
+                commands = self._paths.commands(scene, self._paths.farthest(scene), loaded, goals, level)
+                if commands is not None:
+                    break
+            if not hand.holds or (commands is not None and (yield from self._follow(commands, True))):
                 break
             yield from self._retrace(True, _BACK)
         self._picked += hand.holds
@@ -216,63 +219,65 @@ class _Harvest:
                 yield self._action(np.zeros(len(hand.command)), False)
             yield from self._retrace(False, _LIFTS)
 
-    def _retrace(self, vacuum: bool, steps: int | None = None) -> Iterator[Action]:
+    def _retrace(self, vacuum: bool, actions: int | None = None) -> Iterator[Action]:
         """Go back the way the arm came until it is clear of the plants, or for a number of actions."""
         hand, plants = self._hand, self._stand.scene(0.0).arrays
         if not self._trail:
             return
         apart = np.abs(np.array(self._trail) - hand.command).max(axis=1)
         del self._trail[int(apart.argmin()) + 1 :]
-        done = 0
-        while self._trail and done != steps and hand.holds >= vacuum:
+        done, trailing = 0, False
+        while self._trail and done != actions and hand.holds >= vacuum:
             tip, axis = hand.tip
             ahead = tip + axis * (hand.radius(hand.working) if vacuum else 0.0)
-            if steps is None and distance_to_nearest(ahead[None], plants, 1.0)[0] > _CLEAR:
+            if actions is None and distance_to_nearest(ahead[None], plants, 1.0)[0] > _CLEAR:
                 return
-            action = action_towards(self._trail[-1], hand.command, self._problem.joint_steps)
+            steps = self._problem.joint_steps
+            change = ease(hand) * steps * action_towards(self._trail[-1], hand.command, steps)
+            change += hand.towards((yielding(hand), np.zeros(3)))
             if np.abs(self._trail[-1] - hand.command).max() < _REACHED:
                 self._trail.pop()
+                trailing = True
                 continue
             done += 1
-            yield np.append(action, 1.0 if vacuum else -1.0).astype(np.float32)
+            if (not trailing and self._stops(change)) or (vacuum and np.linalg.norm(hand.force) > _BLOCKED):
+                return
+            yield self._action(change, vacuum)
 
     def _above_crate(self) -> Array:
         return np.asarray(self._hand.crate + self._hand.turn @ np.append(spot(self._picked), _ABOVE))
 
-    def _farthest(self, scene: Scene) -> int:
-        tip, _ = self._hand.tip
-        return int(np.argmax([np.linalg.norm(tomato.center - tip) for tomato in scene.tomatoes]))
-
-    def _commands(self, scene: Scene, target: int, arm: Robot, goals: int | Array, level: _Level) -> list[Array] | None:
-        """Return the commands along a planned path; None without one."""
-        start = np.clip(self._hand.command, arm.lower, arm.upper)
-        seed = self._problem.seed + self._picked + 31 * max(self._tries.values())
-        scan = self._problem.scene
-        unknown, margin = (default_unknown(scan), default_margin(scan)) if level.cautious else ("free", 0.0)
-        result = plan(
-            scene, target, arm, time_limit=None, max_checks=_CHECKS, goals=goals, seed=seed, start=start,
-            unknown=unknown, margin=margin, leaves=level.leaves,
-        )  # fmt: skip
-        if result.path is None:
-            return None
-        kind = "brush" if level.leaves == "brush" and result.brushed_leaves else "rigid"
-        return list(safe_commands(scene, target, result.path, replace(self._problem, robot=arm), kind))
-
     def _move(self, twists: Iterator[Twist]) -> Iterator[Action]:
         """Move the tip with vacuum, as far as the arm touches neither itself, nor its cart, the crate or a string."""
         hand = self._hand
-        for twist in twists:
+        for twist in gently(hand, twists):
             change = hand.towards(twist)
-            if not self._stand.is_free(hand.command + change):
+            blocked = hand.deflection > _PRESSED and not hand.holds
+            if blocked or self._stops(change):
                 return
             yield self._action(change, True)
 
-    def _follow(self, commands: list[Array], vacuum: bool) -> Iterator[Action]:
-        for command in commands:
+    def _stops(self, change: Array) -> bool:
+        """Return whether a change of the commands brings the arm near itself, its cart, the crate or a string."""
+        command = self._hand.command
+        return not self._stand.is_free(command + change) and self._stand.is_free(command)
+
+    def _follow(self, commands: list[Array], vacuum: bool, watching: bool = False) -> Generator[Action, None, bool]:
+        """Follow commands until something is in the way; return whether the end is reached.
+
+        Args:
+            commands: The commands.
+            vacuum: Whether a fruit is held: it stops where that is lost, or pressed on something.
+            watching: Whether it stops where the camera sees something in its way.
+        """
+        for k, command in enumerate(commands):
+            if watching and k % _LOOKS == 0 and self._stand.blocks(np.array(commands[k::2])):
+                return False
             self._trail.append(self._hand.command)
             yield self._action(command - self._hand.command, vacuum)
-            if vacuum and not self._hand.holds:
-                return
+            if vacuum and (not self._hand.holds or np.linalg.norm(self._hand.force) > _STOPPED):
+                return False
+        return True
 
     def _action(self, change: Array, vacuum: bool) -> Action:
         arm = np.clip(change / self._problem.joint_steps, -1, 1)

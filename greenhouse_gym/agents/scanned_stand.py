@@ -6,16 +6,21 @@ from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
+from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
 
 from greenhouse_gym.agents.agent import Problem
 from greenhouse_gym.agents.sensed_hand import SensedHand
 from greenhouse_gym.crops.parts import SpaceBox
-from greenhouse_gym.geometry import Array, Sphere, pose
+from greenhouse_gym.geometry import Array, Sphere, distance_to_nearest, pose
+from greenhouse_gym.motion.arm_spheres import arm_spheres
 from greenhouse_gym.motion.collision import CollisionChecker, planning_model
 from greenhouse_gym.motion.unknown_space import guarded
 from greenhouse_gym.scene import Scene
+from greenhouse_gym.scene.occupancy import boxes_around_points
 
-_GUARD = 0.005  # metres from which the arm keeps from itself, its cart, the crate and strings
+_GUARD = 0.01  # metres from which the arm keeps from itself, its cart, the crate and strings
+_VOXEL, _AROUND, _EXPLAINED, _OF_TARGET = 0.012, 0.4, 0.012, 0.03  # metres: see _unscanned
 
 
 class ScannedStand:
@@ -29,13 +34,14 @@ class ScannedStand:
     def __init__(self, problem: Problem, hand: SensedHand):
         self._problem, self._hand = problem, hand
 
-    def scene(self, around: float, apart: float = 0.0, target: int = -1) -> Scene:
+    def scene(self, around: float, apart: float = 0.0, target: int = -1, seen: bool = False) -> Scene:
         """Return the scan with its fruit where they are now, and the crate.
 
         Args:
             around: Metres by which the crate is thickened.
             apart: Metres by which fruit except the target, and stems, are thickened.
             target: The target.
+            seen: Whether what the camera sees and the scan lacks is clutter.
         """
         scene, fruit = self._problem.scene, self._hand.fruit
         tomatoes = []
@@ -48,8 +54,29 @@ class ScannedStand:
             tomatoes.append(tomato)
         stems = tuple(replace(stem, radius=stem.radius + apart) for stem in scene.stems) if apart else scene.stems
         clutter = (*scene.clutter, *self._crate(around))
+        if seen:
+            clutter += tuple(boxes_around_points(self._unscanned(), _VOXEL))
         parts = {"tomatoes": tuple(tomatoes), "stems": stems, "clutter": clutter, "targets": (), "truth": None}
         return scene.model_copy(update=parts)
+
+    def blocks(self, configurations: Array) -> bool:
+        """Return whether the camera sees something in the way of an arm in configurations (m, j)."""
+        arm, points = arm_spheres(self._problem.robot), (self._unscanned() - self._hand.base) @ self._hand.turn
+        if not len(points):
+            return False
+        gaps, _ = cKDTree(points).query(arm.centers(configurations)[:, arm.moving])
+        return bool((gaps < arm.radius[arm.moving]).any())
+
+    def _unscanned(self) -> Array:
+        """Return the points (n, 3) around the tip that the camera sees and nothing known explains."""
+        hand, scan = self._hand, self._problem.scene
+        points = hand.surface.points @ hand.turn.T + hand.base
+        points = points[np.linalg.norm(points - hand.tip[0], axis=1) < _AROUND]
+        points = points[distance_to_nearest(points, scan.arrays, _EXPLAINED) >= _EXPLAINED]
+        fruit = np.append(np.flatnonzero(hand.fruit.hanging), hand.working)
+        centers = np.array([hand.center(k) for k in fruit.tolist()]).reshape(-1, 3)
+        gaps = cdist(points, centers) - hand.fruit.radii[fruit]
+        return np.asarray(points[(gaps > np.append(np.full(len(fruit) - 1, _EXPLAINED), _OF_TARGET)).all(axis=1)])
 
     def is_free(self, configuration: Array) -> bool:
         """Return whether the arm touches neither itself, nor its cart, the crate or a string; (j,) radians."""

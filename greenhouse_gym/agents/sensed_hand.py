@@ -11,10 +11,12 @@ from greenhouse_gym.agents.agent import Problem
 from greenhouse_gym.agents.fruit_map import FruitMap
 from greenhouse_gym.agents.occupancy_map import wrist_camera
 from greenhouse_gym.agents.picking import Twist, joint_change
+from greenhouse_gym.agents.seen_surface import SeenSurface
 from greenhouse_gym.envs.features import feature_slices
 from greenhouse_gym.envs.image_observations import RgbObservation
 from greenhouse_gym.envs.tasks.harvest import TomatoHarvest
 from greenhouse_gym.geometry import Array, rotation_about
+from greenhouse_gym.motion.arm_spheres import arm_spheres
 from greenhouse_gym.motion.unknown_space import guarded
 from greenhouse_gym.plants.mechanics import GRAVITY, PlantMechanics
 from greenhouse_gym.rendering.cameras import MAX_RANGE, DepthCamera
@@ -22,7 +24,7 @@ from greenhouse_gym.robots.kinematics import tool_chain, tool_state
 from greenhouse_gym.scene.mjcf import base_position
 
 _EVERY = 2  # actions from one image to the next that is read
-_FREE_FORCE, _TURNED = 1.0, 8  # N that a fruit pulls beyond its weight when it is off, and actions until this counts
+_LOOSE, _ACTIONS = 0.5, 2  # a fruit is off that pulls with less than this fraction of its weight for so many actions
 _PARTS = 11  # actions after which an imagined fruit comes off
 
 
@@ -37,12 +39,14 @@ class SensedHand:
         chain: Kinematic chain of the tool in the scene.
         turn: (3, 3) scene_from_base.
         fruit: The fruit.
+        surface: Points that the camera sees, in the frame of the base.
         working: The fruit in work.
         parting: Whether it is being turned off.
         joints: (j,) measured joint positions, radians.
         command: (j,) commanded ones.
         holds: Whether the cup holds a fruit.
         crate: (3,) middle of the crate's rim in the scene, metres.
+        deflection: Metres by which something keeps the tip from where its servos pull it.
     """
 
     def __init__(self, problem: Problem, image: tuple[int, int]):
@@ -56,7 +60,8 @@ class SensedHand:
         self._features = feature_slices(spec.layout)
         self.turn = rotation_about([0, 0, 1], problem.scene.placement.yaw)
         self.base = base_position(problem.scene, problem.robot)
-        self._age, self._turned = 0, 0
+        self.surface = SeenSurface(arm_spheres(problem.robot), self._camera)
+        self._age, self._loose = 0, 0
         self.parting = False
 
     def sense(self, observation: Mapping[str, Any]) -> None:
@@ -70,6 +75,9 @@ class SensedHand:
         self.joints = value("joint_position")
         self.command = np.clip(self.joints + value("command_error"), robot.lower, robot.upper)
         self._state = tool_state(self.chain, self.joints[None])
+        # a servo in motion lags; what is left of its error is what something presses against
+        pressed = value("command_error") - robot.lag * value("joint_velocity")
+        self.deflection = float(self.tip[1] @ self._state.jacobian[0] @ pressed)
         self.holds = value("gripper")[0] > 0
         self._force = self.turn @ value("wrist_force")
         self.crate = self.tip[0] + self.turn @ value("crate_offset")
@@ -78,15 +86,18 @@ class SensedHand:
             depth = (observation["depth"][0] * MAX_RANGE).reshape(-1).astype(np.float64)
             points = origin + depth[:, None] * (self._camera.rays @ turn.T)
             self.fruit.see(points, observation["rgb"].reshape(3, -1).T, depth)
+            view = self.turn.T @ turn, self.turn.T @ (origin - self.base)
+            self.surface.see(depth, (points - self.base) @ self.turn, view, self.joints)
         self._age += 1
-        if self.parting:
-            self._turned += 1
-            if self._turned > _TURNED and np.linalg.norm(self.force) < _FREE_FORCE:
+        if self.parting and self.holds:
+            loose = np.linalg.norm(self.force) < _LOOSE * self._weight
+            self._loose = self._loose + 1 if loose else 0
+            if self._loose >= _ACTIONS:
                 self.fruit.hanging[self.working] = False
 
     def begin(self, fruit: int) -> None:
         """Begin to turn a fruit off."""
-        self.working, self.parting, self._turned = fruit, True, 0
+        self.working, self.parting, self._loose = fruit, True, 0
 
     @property
     def held(self) -> int:
@@ -101,8 +112,12 @@ class SensedHand:
     @property
     def force(self) -> Array:
         """(3,) force of the held fruit on the cup beyond its weight, N, in the scene."""
-        mass = PlantMechanics().density * 4 / 3 * np.pi * self.radius(self.working) ** 3 if self.holds else 0.0
-        return np.asarray(self._force + [0.0, 0.0, GRAVITY * mass])
+        return np.asarray(self._force + [0.0, 0.0, self._weight if self.holds else 0.0])
+
+    @property
+    def _weight(self) -> float:
+        """Weight of the fruit in work, N."""
+        return GRAVITY * PlantMechanics().density * 4 / 3 * np.pi * self.radius(self.working) ** 3
 
     def center(self, fruit: int) -> Array:
         """Return the middle (3,) of a fruit; a held one is at the cup."""
