@@ -17,7 +17,7 @@ pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="commands are fo
 PPO = "--bank mini --set num_envs=4 --set rollout_steps=32 --set batch_size=64 --set hidden=[8]"
 BC = (
     "--steps 2048 --bank mini --set ppo.num_envs=4 --set ppo.rollout_steps=32 --set ppo.batch_size=64 "
-    "--set ppo.hidden=[8] --set ppo.threads=1 --set imitation.steps=512 --set imitation.num_envs=4"
+    "--set ppo.hidden=[16,16] --set ppo.threads=1 --set imitation.steps=512 --set imitation.num_envs=4"
 )
 SAC = (
     "--bank mini --set num_envs=4 --set batch_size=32 --set hidden=[8] --set random_steps=800 --set threads=1 "
@@ -68,6 +68,9 @@ class Whole:
     def assert_it_resumes(self, out: Path) -> None:
         words = arguments(self.name, self.folder, out)
         again = self.commands.run(*words)
+        if self.name == "train-warp" and again.status:  # it resumes nothing, and overwrites nothing
+            assert (out / "policy.json").is_file()
+            return
         from_checkpoint = self.name.startswith("train") and again.status != 0  # which is never overwritten unasked
         if from_checkpoint:
             again = self.commands.run(*words, "--resume")
