@@ -1,4 +1,4 @@
-"""Your own reward: reach the tomato and keep a distance from the leaves.
+"""Your own reward: reach the tomato, and fear stems more than leaves.
 
 python examples/own_reward.py
 """
@@ -7,15 +7,15 @@ import gymnasium
 import numpy as np
 
 import greenhouse_gym  # noqa: F401 - registers the environments
-from greenhouse_gym.envs import DenseReward, Transition
+from greenhouse_gym.envs import CONTACT_GROUPS, DenseReward, Transition
 
 DENSE = DenseReward(progress=2.0)
+STEM = CONTACT_GROUPS.index("stem")
 
 
 def careful(step: Transition) -> dict[str, np.ndarray]:
-    """Return the terms of the dense reward and a cost for each centimetre of clearance below 5 cm."""
-    nearest = step.end.clearance.min(axis=1)
-    return {**DENSE(step), "nearness": -2.0 * np.maximum(0.05 - nearest, 0.0)}
+    """Return the terms of the dense reward and a cost for the contact with a stem, which ends the episode."""
+    return {**DENSE(step), "stem": -5.0 * (step.end.contacts[:, STEM] > 0)}
 
 
 if __name__ == "__main__":
