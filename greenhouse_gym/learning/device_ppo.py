@@ -7,7 +7,6 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +27,7 @@ with needs("train"):
     import torch
     from torch import Tensor, nn
 
-    from greenhouse_gym.learning.sb3_features import CENTERS_AND_SCALES
+    from greenhouse_gym.learning.device_networks import Networks
     from greenhouse_gym.learning.training_files import CHECKPOINT, CURVE, MAX_WEIGHT, check_folder, write_curve
 
 COLUMNS = ("steps", "seconds", "success_rate", "collision_rate", "return", "length", "learning_rate", "kl")
@@ -311,47 +310,6 @@ class DevicePpo:
                 for value in state.values():
                     value.zero_()
         return replay
-
-
-class Networks(nn.Module):
-    """Actor and critic on observations of a layout, scaled to about one.
-
-    Args:
-        size: Size of the observation.
-        actions: Size of the action.
-        settings: Sizes of the hidden layers, and the noise.
-        layout: Name and size of each feature.
-    """
-
-    center: Tensor
-    scale: Tensor
-
-    def __init__(self, size: int, actions: int, settings: DevicePpoSettings, layout: tuple[tuple[str, int], ...]):
-        super().__init__()
-        self.actor = _perceptron((size, *settings.hidden, actions), 0.01)
-        self.critic = _perceptron((size, *settings.hidden, 1), 1.0)
-        self.log_std = nn.Parameter(torch.full((actions,), settings.log_std))
-        pairs = np.concatenate(
-            [np.tile(CENTERS_AND_SCALES.get(name, (0.0, 1.0)), (width, 1)) for name, width in layout]
-        )
-        self.register_buffer("center", torch.tensor(pairs[:, 0], dtype=torch.float32))
-        self.register_buffer("scale", torch.tensor(pairs[:, 1], dtype=torch.float32))
-
-    def forward(self, observations: Tensor) -> tuple[Tensor, Tensor]:
-        """Return mean actions (n, size) and values (n,)."""
-        scaled = (observations - self.center) / self.scale
-        return self.actor(scaled), self.critic(scaled).squeeze(1)
-
-
-def _perceptron(sizes: tuple[int, ...], last_gain: float) -> nn.Sequential:
-    layers: list[nn.Module] = []
-    for k, (inputs, outputs) in enumerate(pairwise(sizes)):
-        layer = nn.Linear(inputs, outputs)
-        is_last = k == len(sizes) - 2
-        nn.init.orthogonal_(layer.weight, last_gain if is_last else math.sqrt(2))
-        nn.init.zeros_(layer.bias)
-        layers += [layer] if is_last else [layer, nn.ReLU()]
-    return nn.Sequential(*layers)
 
 
 def _graph(function: Callable[[], None]) -> Callable[[], None]:
