@@ -140,13 +140,13 @@ def decode(source: object, data: bytes, mode: int, foreign: bool = False) -> npt
         kind, whole = "TIFF", True
     else:
         raise FileFormatError(source, f"neither a PNG nor a JPEG file ({len(data)} bytes)")
-    if not whole or size is None:
-        raise FileFormatError(source, f"truncated {kind} file ({len(data)} bytes)")
-    if size.width * size.height * size.pixel_bytes > MAX_BYTES:
+    if size is not None and size.width * size.height * size.pixel_bytes > MAX_BYTES:
         raise FileFormatError(
             source, f"an image of {size.width}x{size.height} pixels of {size.pixel_bytes} bytes is too large: at most "
             f"{MAX_BYTES} bytes are decoded",
         )  # fmt: skip
+    if not whole or size is None:
+        raise FileFormatError(source, f"truncated {kind} file ({len(data)} bytes)")
     with parsing(source, "image"):
         image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), mode)
     if image is None:

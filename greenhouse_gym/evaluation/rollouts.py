@@ -234,6 +234,7 @@ def retrace(
         timeout: See `evaluate`.
         **options: Keywords of the environment; see `evaluate`.
     """
+    Deadline(timeout)  # raises before anything is run
     asked = AskedAgent.of(agent)
     env = make_vec_env(1, **{**asked.env_options, **options, "split": split})
     try:
