@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from greenhouse_gym.learning.bc_then_ppo import train_bc_then_ppo
-    from greenhouse_gym.learning.device_ppo import train_ppo_on_device
+    from greenhouse_gym.learning.device_training import train_ppo_on_device
     from greenhouse_gym.learning.policies import load_into, save_policy
     from greenhouse_gym.learning.ppo import load_ppo, train_ppo
     from greenhouse_gym.learning.ppo_sweep import sweep_ppo
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 _MODULES = {
     "bc_then_ppo": ("train_bc_then_ppo",),
-    "device_ppo": ("train_ppo_on_device",),
+    "device_training": ("train_ppo_on_device",),
     "policies": ("load_into", "save_policy"),
     "ppo": ("load_ppo", "train_ppo"),
     "ppo_sweep": ("sweep_ppo",),

@@ -14,7 +14,7 @@ from greenhouse_gym.agents.policy_agent import PolicyAgent
 from greenhouse_gym.common.files import exclusive
 from greenhouse_gym.errors import DivergedError, FileWriteError, InvalidValueError
 from greenhouse_gym.evaluation import evaluate
-from greenhouse_gym.learning import DevicePpoSettings, PpoSettings, device_ppo, train_ppo, train_ppo_on_device
+from greenhouse_gym.learning import DevicePpoSettings, PpoSettings, device_training, train_ppo, train_ppo_on_device
 from greenhouse_gym.learning.device_ppo import DevicePpo
 from greenhouse_gym.learning.training_files import CURVE, read_curve
 from greenhouse_gym.scene import SceneBank
@@ -63,7 +63,7 @@ def test_interrupted_training_of_limited_time_leaves_a_policy(tmp_path, monkeypa
         raise KeyboardInterrupt
 
     ticks = count()
-    monkeypatch.setattr(device_ppo, "time", SimpleNamespace(monotonic=lambda: float(next(ticks))))
+    monkeypatch.setattr(device_training, "time", SimpleNamespace(monotonic=lambda: float(next(ticks))))
     with pytest.raises(KeyboardInterrupt):
         train_ppo_on_device(replace(SMALL, total_steps=10**9), tmp_path / "run", time_limit=3.5, on_progress=stop)
     assert rates == [pytest.approx(SMALL.learning_rate * 0.5 / 3.5)]
@@ -81,8 +81,8 @@ def test_a_diverged_training_keeps_its_last_policy(tmp_path, monkeypatch):
     def spoil(line):
         trainings[0].networks.log_std.data.fill_(float("nan"))
 
-    monkeypatch.setattr(device_ppo, "DevicePpo", Known)
-    monkeypatch.setattr(device_ppo, "_SECONDS_BETWEEN_LINES", 0.0)
+    monkeypatch.setattr(device_training, "DevicePpo", Known)
+    monkeypatch.setattr(device_training, "_SECONDS_BETWEEN_LINES", 0.0)
     with pytest.raises(DivergedError, match=r"within 1,024 steps.*before is kept"):
         train_ppo_on_device(SMALL, tmp_path / "run", on_progress=spoil)
     assert PolicyAgent.load(tmp_path / "run" / "policy").policy.training["steps"] == 512
