@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from itertools import product
 from pathlib import Path
@@ -31,6 +31,7 @@ from greenhouse_gym.cli.options import (
 from greenhouse_gym.common.progress import say
 
 if TYPE_CHECKING:
+    from greenhouse_gym.agents.agent import Agent
     from greenhouse_gym.evaluation import Evaluation
     from greenhouse_gym.evaluation.journal import RecordJournal
     from greenhouse_gym.evaluation.leaderboard import Entry, Protocol
@@ -92,7 +93,7 @@ def compare(
 
     from greenhouse_gym.agents.named import make_agent
     from greenhouse_gym.agents.policy_agent import BEST
-    from greenhouse_gym.common.files import exclusive, remove_folder, write_atomically
+    from greenhouse_gym.common.files import exclusive, remove_folder
     from greenhouse_gym.errors import require_choice
     from greenhouse_gym.evaluation import compare as run
     from greenhouse_gym.evaluation.journal import journal_in
@@ -137,16 +138,30 @@ def compare(
             complete = True
         finally:
             results = {name: found for name, found in finished.items() if any(e.records for e in found)}
-            if report is not None and results:
-                from greenhouse_gym.reporting.comparison import comparison_report
-
-                title = f"Comparison of {', '.join(chosen)}"
-                # without episodes first: running them again may fail or take long
-                for shown in ({}, chosen) if complete else ({},):
-                    write_atomically(report, comparison_report(title, results, shown, split, bank, **shared))
-                if complete and folder is not None:
+            if report is not None and folder is not None and results:
+                _write_report(report, results, chosen, complete, split, bank, **shared)
+                if complete:
                     remove_folder(folder)
                 say(f"report in {report}")
+
+
+def _write_report(
+    path: Path,
+    results: Mapping[str, Sequence[Evaluation]],
+    agents: Mapping[str, Agent],
+    complete: bool,
+    split: str,
+    bank: str | Path,
+    **options: Any,
+) -> None:
+    """Write a report by track, with some episodes run again if it is complete."""
+    from greenhouse_gym.common.files import write_atomically
+    from greenhouse_gym.reporting.comparison import comparison_report
+
+    title = f"Comparison of {', '.join(agents)}"
+    # without episodes first: running them again may fail or take long
+    for shown in ({}, agents) if complete else ({},):
+        write_atomically(path, comparison_report(title, results, shown, split, bank, **options))
 
 
 def _require_report(path: Path) -> None:

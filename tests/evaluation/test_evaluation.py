@@ -286,7 +286,7 @@ def test_an_agent_that_fails_on_the_way_loses_the_episode(
 
 @pytest.fixture
 def hangs_are_left_soon(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A sleeping thread takes no step of Python, so waiting for its end is in vain."""
+    """Do not wait for a thread that sleeps: it ends only when it wakes up."""
     monkeypatch.setattr(deadline, "_SECONDS_TO_END", 0.05)
 
 
