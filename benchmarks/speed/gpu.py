@@ -1,12 +1,13 @@
 """Test and time the Warp environment on a GPU: equivalence with MuJoCo, steps per second, and PPO.
 
-python -m benchmarks.speed.gpu pack FOLDER          # anywhere: recorded episodes and a bank without the true rows
+python -m benchmarks.speed.gpu pack FOLDER          # anywhere: recorded episodes and banks without the true rows
 python -m benchmarks.speed.gpu run FOLDER OUT       # on the GPU; takes 10 minutes
 
-``pack`` plays episodes in MuJoCo and records actions, observations and outcomes. ``run`` plays them on the GPU, times
-random actions and a policy as CUDA graphs for several numbers of simulations, trains policies, and evaluates them on
-the device. It prints each result and writes OUT/gpu.json and the policies. With ``--device cpu`` it runs without a GPU,
-in small.
+``pack`` plays episodes in MuJoCo and records actions, observations and outcomes; with ``--composed 1600`` it also
+composes training scenes, which takes about half an hour, and ``run`` trains on them as well. ``run`` plays the episodes
+on the GPU, times random actions and a policy as CUDA graphs for several numbers of simulations, trains policies, and
+evaluates them on the device. It prints each result and writes OUT/gpu.json and the policies. With ``--device cpu`` it
+runs without a GPU, in small.
 """
 
 from __future__ import annotations
@@ -27,19 +28,27 @@ EPISODES, STEPS, SCENES = 256, 120, 24
 SIZES = (4096, 16_384, 65_536)
 """Numbers of simulations."""
 
+LARGE: dict[str, Any] = {"hidden": (512, 512, 512), "epochs": 2}
+COMPOSED = "composed"
+"""Folder of the composed scenes."""
+
 TRAININGS: dict[str, tuple[float, dict[str, Any]]] = {
     **{f"2x256, joint actions, seed {seed}": (55.0, {"seed": seed}) for seed in range(3)},
-    "2x256, tip actions, seed 0": (27.5, {"action": "tip_velocity"}),
-    "3x512, joint actions, seed 0": (130.0, {"hidden": (512, 512, 512)}),
-    "3x512, tip actions, seed 0": (91.0, {"hidden": (512, 512, 512), "action": "tip_velocity"}),
+    "3x512, joint actions, seed 0": (84.0, LARGE),
+    "3x512, tip actions, seed 0": (84.0, LARGE | {"action": "tip_velocity"}),
+    "3x512, tip actions, composed scenes, seed 0": (84.0, LARGE | {"action": "tip_velocity", "bank": COMPOSED}),
 }
-"""Seconds and settings of the trainings."""
+"""Seconds and settings of the trainings; those on composed scenes need ``pack --composed``."""
 
 
-def pack(folder: Path) -> None:
-    """Write a bank without true rows, and recorded episodes."""
+def pack(folder: Path, composed: int) -> None:
+    """Write a bank without true rows, a number of composed scenes, and recorded episodes."""
     from greenhouse_gym.envs import GreenhouseVectorEnv
+    from greenhouse_gym.planning import ComposedBank
     from greenhouse_gym.scene import SceneBank
+
+    if composed:
+        ComposedBank("default", composed, targets=12).write(folder / COMPOSED)
 
     bank = SceneBank.open("default")
     copy_bank(bank, folder / "bank")
@@ -239,9 +248,8 @@ class Run:
         from greenhouse_gym.learning import DevicePpoSettings, train_ppo_on_device
         from greenhouse_gym.scene import SceneBank
 
-        chosen = DevicePpoSettings(
-            bank=str(self.folder / "bank"), device=self.device, num_envs=count, total_steps=10**12, **settings
-        )
+        bank = str(self.folder / settings.pop("bank", "bank"))
+        chosen = DevicePpoSettings(bank=bank, device=self.device, num_envs=count, total_steps=10**12, **settings)
         rows: list[Any] = []
         began = time.monotonic()
         folder = self.out / name.replace(", ", "-").replace(" ", "-")
@@ -259,9 +267,9 @@ class Run:
         count, action = 2048 if self.device == "cuda" else 16, chosen.action
         for split in ("train", "validation", "test"):
             self.note(f"PPO {name}, {split}", self._evaluate(policy, count, split=split, action=action))
-        bank = SceneBank.open(self.folder / "bank")
+        tested = SceneBank.open(self.folder / "bank")
         for source, difficulty in product(("own", "helios"), ("easy", "medium", "hard")):
-            where = {"bank": bank.select(source=source), "split": "test", "difficulty": difficulty, "action": action}
+            where = {"bank": tested.select(source=source), "split": "test", "difficulty": difficulty, "action": action}
             self.note(f"PPO {name}, test, {source} {difficulty}", self._evaluate(policy, count, **where))
 
     def _evaluate(self, policy: Any, count: int, **settings: Any) -> dict[str, Any]:
@@ -303,17 +311,19 @@ def main() -> None:
     command.add_argument("folder", type=Path)
     command.add_argument("out", type=Path, nargs="?", default=Path("runs/gpu"))
     command.add_argument("--device", default="cuda", choices=("cuda", "cpu"))
+    command.add_argument("--composed", type=int, default=0, help="number of composed scenes to pack")
     command.add_argument("--speed-up", type=float, default=1.0, help="divide the time of each training by this")
     a = command.parse_args()
     if a.what == "pack":
-        pack(a.folder)
+        pack(a.folder, a.composed)
         return
     run = Run(a.folder, a.out, a.device)
     run.equivalence()
     run.table(SIZES if a.device == "cuda" else (256,))
     count = 16_384 if a.device == "cuda" else 64
     for name, (seconds, settings) in TRAININGS.items():
-        run.train(name, seconds / a.speed_up, count, **settings)
+        if (a.folder / settings.get("bank", "")).is_dir():
+            run.train(name, seconds / a.speed_up, count, **settings)
 
 
 if __name__ == "__main__":
