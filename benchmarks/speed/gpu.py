@@ -127,7 +127,7 @@ class Run:
 
         return gymnasium.make_vec(
             "TomatoReach-v0", num_envs=count, backend="warp", device=self.device, arrays="torch",
-            **{"bank": str(self.folder / "bank")} | settings,
+            **{"bank": str(self.folder / "bank"), "action": "joint"} | settings,
         )  # fmt: skip
 
     def synchronize(self) -> None:
@@ -240,8 +240,9 @@ class Run:
         from greenhouse_gym.scene import SceneBank
 
         chosen = DevicePpoSettings(
-            bank=str(self.folder / "bank"), device=self.device, num_envs=count, total_steps=10**12, **settings
-        )
+            bank=str(self.folder / "bank"), device=self.device, num_envs=count, total_steps=10**12,
+            **{"action": "joint"} | settings,
+        )  # fmt: skip
         rows: list[Any] = []
         began = time.monotonic()
         folder = self.out / name.replace(", ", "-").replace(" ", "-")

@@ -129,7 +129,8 @@ class Agent(Protocol):
 
     An agent without memory may also have a method ``act_many(observations)`` that returns actions (n, size) for the
     observations of n simulations. It is called when many episodes run side by side; of any other agent, every
-    simulation gets a copy.
+    simulation gets a copy. One that follows joint paths sets ``moves_joints = True``: unless it or the user chooses an
+    action, its environment takes "joint".
 
     Attributes:
         name: Its name in tables.
@@ -183,16 +184,28 @@ def check_agent(agent: object) -> None:
             )
 
 
+def moves_joints(agent: Agent) -> bool:
+    """Return whether an agent declares that it ``moves_joints``."""
+    return bool(getattr(agent, "moves_joints", False))
+
+
+def own_options(agent: Agent, options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the keywords that an agent chooses for an environment that also gets those of ``options``."""
+    joints = {"action": "joint"} if moves_joints(agent) and "action" not in options else {}
+    return {**joints, **agent.env_options}
+
+
 def options_for(agent: Agent, options: Mapping[str, Any]) -> dict[str, Any]:
     """Return the keywords of an agent's environment: its own, and further ones that do not contradict them.
 
     Raises:
         InvalidValueError: They contradict each other.
     """
-    for key, value in agent.env_options.items():
+    own = own_options(agent, options)
+    for key, value in own.items():
         if key in options and described(options[key]) != described(value):
             raise InvalidValueError(f"agent {agent.name!r} needs {key}={value!r}, got {options[key]!r}")
-    return {**options, **agent.env_options}
+    return {**options, **own}
 
 
 def action_towards(waypoint: Array, command: Array, steps: Array) -> Array:

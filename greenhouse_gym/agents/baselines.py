@@ -17,9 +17,9 @@ from greenhouse_gym.planning import goal_configurations
 
 
 class RandomAgent(NamedAgent):
-    """Draw every action uniformly."""
+    """Draw every action uniformly; joint actions, unless the environment is given others."""
 
-    name = "random"
+    name, moves_joints = "random", True
     env_options: Mapping[str, Any] = MappingProxyType({})
 
     def __init__(self) -> None:
@@ -42,7 +42,7 @@ class StraightLineAgent(NamedAgent):
     It needs an environment whose actions move the joints.
     """
 
-    name = "straight-line"
+    name, moves_joints = "straight-line", True
     env_options: Mapping[str, Any] = MappingProxyType({})
 
     def __init__(self) -> None:
@@ -68,7 +68,7 @@ class WaypointAgent(NamedAgent):
     It needs an environment whose actions move the joints.
     """
 
-    name = "roadmap"
+    name, moves_joints = "roadmap", True
     env_options: Mapping[str, Any] = MappingProxyType({"observation": "roadmap"})
 
     def __init__(self) -> None:

@@ -58,7 +58,7 @@ class OracleHarvester(NamedAgent):
         name: Name in tables.
     """
 
-    knows_truth = True
+    knows_truth = moves_joints = True
     env_options: Mapping[str, Any] = MappingProxyType({"task": "harvest", "plants": "compliant", "physics": "truth"})
 
     def __init__(self, planner: str = "RRTConnect", name: str = "harvest-oracle"):

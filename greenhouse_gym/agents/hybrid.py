@@ -36,7 +36,7 @@ class HybridAgent(NamedAgent):
         status: "rehearsed" if the policy acts, else the planner's status.
     """
 
-    name = "hybrid"
+    name, moves_joints = "hybrid", True
 
     def __init__(self, policy: Agent | None = None, planner: Agent | None = None, name: str = "hybrid"):
         self.name = name
@@ -66,8 +66,7 @@ class HybridAgent(NamedAgent):
         """Return whether the policy reaches the target in the known scene."""
         capacity = capacity_for(problem.scene.count)
         options = {**self.env_options, "robot": problem.robot, "rate": 1 / problem.interval, "capacity": capacity}
-        if problem.action is not None:
-            options["action"] = problem.action
+        options["action"] = "joint" if problem.action is None else problem.action
         episode = {"scene": problem.scene, "target": problem.target, "start": problem.start}
         with closing(make_env(bank="mini", **options)) as env:
             observation, info = env.reset(options=episode)

@@ -136,6 +136,7 @@ class LookingAgent(NamedAgent, ABC):
         env_options: Puts the map into the observation.
     """
 
+    moves_joints = True
     env_options: Mapping[str, Any] = MappingProxyType({"observation": "task"})
 
     def __init__(self, max_views: int | None = None) -> None:

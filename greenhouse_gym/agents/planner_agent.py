@@ -148,6 +148,7 @@ class PlannerAgent(NamedAgent):
         InvalidValueError: The attempts are not a whole number of 1 or more.
     """
 
+    moves_joints = True
     env_options: Mapping[str, Any] = MappingProxyType({})
 
     def __init__(

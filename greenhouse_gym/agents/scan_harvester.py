@@ -83,6 +83,7 @@ class ScanHarvester(NamedAgent):
         name: Name in tables.
     """
 
+    moves_joints = True
     env_options: Mapping[str, Any] = MappingProxyType(
         {
             "task": "harvest", "plants": "compliant", "physics": "truth",

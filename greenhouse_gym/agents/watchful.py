@@ -97,7 +97,7 @@ class WatchfulAgent(NamedAgent):
             "inf" if unknown space is free.
     """
 
-    name = "watchful"
+    name, moves_joints = "watchful", True
 
     def __init__(
         self,

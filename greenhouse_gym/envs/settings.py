@@ -88,7 +88,7 @@ class EnvSettings:
     split: str = "train"
     robot: str | Path | Robot = "ur5e"
     observation: ObservationChoice | Mapping[str, Any] = "state"
-    action: ActionChoice | Mapping[str, Any] = "joint"
+    action: ActionChoice | Mapping[str, Any] = "tip_velocity"
     reward: str | Reward | Mapping[str, Any] = "dense"
     difficulty: DifficultyChoice = ("easy", "medium", "hard")
     physics: str = "reconstruction"

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from greenhouse_gym.agents import Agent
-from greenhouse_gym.agents.agent import knows_truth
+from greenhouse_gym.agents.agent import knows_truth, own_options
 from greenhouse_gym.agents.named import agent_of
 from greenhouse_gym.common.executors import WorkerLostError, completed, require_portable, workers_of
 from greenhouse_gym.common.own_code import described
@@ -91,7 +91,7 @@ def evaluate(
             raise InvalidValueError(f"{name} must be an object of {kind.__name__} or None, got {given!r}")
     Deadline(timeout)  # raises before anything is run
     agent, seed, chosen = agent_of(agent), require_seed(seed), _chosen(episodes, problems)
-    own = dict(agent.env_options)
+    own = own_options(agent, options)
     changed = changed_rules(agent.name, own, {**options, "split": split})
     truth = declares_truth(agent)
     ended = {} if journal is None else {k: record for k, record in journal.records.items() if k < len(chosen)}
@@ -236,7 +236,7 @@ def retrace(
         **options: Keywords of the environment; see `evaluate`.
     """
     agent = agent_of(agent)
-    env = make_vec_env(1, **{**agent.env_options, **options, "split": split})
+    env = make_vec_env(1, **{**own_options(agent, options), **options, "split": split})
     try:
         numbers = check_items("seeds", seeds, "whole numbers")
         chosen = deque((require_seed(seed), dict[str, Any]()) for seed in numbers)
