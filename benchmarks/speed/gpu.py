@@ -56,7 +56,7 @@ def pack(folder: Path) -> None:
         next(t.witness[-1] for t in bank.scene(o["scene"]).targets if t.tomato == o["target"] and t.robot == "ur5e")
         for o in options
     ]
-    env = GreenhouseVectorEnv(len(options), bank=folder / "bank", threads=1)
+    env = GreenhouseVectorEnv(len(options), bank=folder / "bank", action="joint", threads=1)
     first, _ = env.reset(options=options)
     alive, hold = np.ones(len(options), dtype=bool), rng.uniform(-1, 1, (len(options), 6))
     actions, observations, rewards = [], [first], []

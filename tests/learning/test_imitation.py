@@ -88,7 +88,8 @@ def test_imitation_then_ppo_leaves_a_policy_that_plays(bank: SceneBank, tmp_path
 
 def test_a_network_may_begin_from_nothing(bank: SceneBank, tmp_path: Path) -> None:
     ppo = PpoSettings(
-        bank=str(bank.path), observation="roadmap", action="joint", num_envs=2, total_steps=0, hidden=(16, 16), threads=1,
+        bank=str(bank.path), observation="roadmap", action="joint", num_envs=2, total_steps=0, hidden=(16, 16),
+        threads=1,
     )  # fmt: skip
     nothing = ImitationSettings(steps=0)
     seen = make_sb3_vec_env(2, bank=bank, observation="roadmap", action="joint", threads=1).reset()
