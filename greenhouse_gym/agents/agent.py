@@ -129,8 +129,7 @@ class Agent(Protocol):
 
     An agent without memory may also have a method ``act_many(observations)`` that returns actions (n, size) for the
     observations of n simulations. It is called when many episodes run side by side; of any other agent, every
-    simulation gets a copy. One that follows joint paths sets ``moves_joints = True``: unless it or the user chooses an
-    action, its environment takes "joint".
+    simulation gets a copy. One with ``takes_other_actions = True`` lets the user's keyword ``action`` replace its own.
 
     Attributes:
         name: Its name in tables.
@@ -184,15 +183,15 @@ def check_agent(agent: object) -> None:
             )
 
 
-def moves_joints(agent: Agent) -> bool:
-    """Return whether an agent declares that it ``moves_joints``."""
-    return bool(getattr(agent, "moves_joints", False))
+def takes_other_actions(agent: Agent) -> bool:
+    """Return whether an agent declares that it ``takes_other_actions`` than that of its ``env_options``."""
+    return bool(getattr(agent, "takes_other_actions", False))
 
 
 def own_options(agent: Agent, options: Mapping[str, Any]) -> dict[str, Any]:
     """Return the keywords that an agent chooses for an environment that also gets those of ``options``."""
-    joints = {"action": "joint"} if moves_joints(agent) and "action" not in options else {}
-    return {**joints, **agent.env_options}
+    replaced = {"action"} & options.keys() if takes_other_actions(agent) else set()
+    return {key: value for key, value in agent.env_options.items() if key not in replaced}
 
 
 def options_for(agent: Agent, options: Mapping[str, Any]) -> dict[str, Any]:

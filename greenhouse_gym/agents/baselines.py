@@ -19,8 +19,8 @@ from greenhouse_gym.planning import goal_configurations
 class RandomAgent(NamedAgent):
     """Draw every action uniformly; joint actions, unless the environment is given others."""
 
-    name, moves_joints = "random", True
-    env_options: Mapping[str, Any] = MappingProxyType({})
+    name, takes_other_actions = "random", True
+    env_options: Mapping[str, Any] = MappingProxyType({"action": "joint"})
 
     def __init__(self) -> None:
         self._rng = np.random.default_rng(0)
@@ -42,8 +42,8 @@ class StraightLineAgent(NamedAgent):
     It needs an environment whose actions move the joints.
     """
 
-    name, moves_joints = "straight-line", True
-    env_options: Mapping[str, Any] = MappingProxyType({})
+    name, takes_other_actions = "straight-line", True
+    env_options: Mapping[str, Any] = MappingProxyType({"action": "joint"})
 
     def __init__(self) -> None:
         self._follower: PathFollower | None = None
@@ -68,8 +68,8 @@ class WaypointAgent(NamedAgent):
     It needs an environment whose actions move the joints.
     """
 
-    name, moves_joints = "roadmap", True
-    env_options: Mapping[str, Any] = MappingProxyType({"observation": "roadmap"})
+    name, takes_other_actions = "roadmap", True
+    env_options: Mapping[str, Any] = MappingProxyType({"observation": "roadmap", "action": "joint"})
 
     def __init__(self) -> None:
         self._direction = self._path = slice(0)

@@ -58,8 +58,10 @@ class OracleHarvester(NamedAgent):
         name: Name in tables.
     """
 
-    knows_truth = moves_joints = True
-    env_options: Mapping[str, Any] = MappingProxyType({"task": "harvest", "plants": "compliant", "physics": "truth"})
+    knows_truth = takes_other_actions = True
+    env_options: Mapping[str, Any] = MappingProxyType(
+        {"task": "harvest", "plants": "compliant", "physics": "truth", "action": "joint"}
+    )
 
     def __init__(self, planner: str = "RRTConnect", name: str = "harvest-oracle"):
         self.planner, self.name = planner, name

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.agents.agent import Agent, NamedAgent, Problem
+from greenhouse_gym.agents.agent import Agent, NamedAgent, Problem, takes_other_actions
 from greenhouse_gym.agents.planner_agent import PlannerAgent
 from greenhouse_gym.agents.policy_agent import BEST, PolicyAgent
 from greenhouse_gym.envs import make_env
@@ -36,7 +36,7 @@ class HybridAgent(NamedAgent):
         status: "rehearsed" if the policy acts, else the planner's status.
     """
 
-    name, moves_joints = "hybrid", True
+    name = "hybrid"
 
     def __init__(self, policy: Agent | None = None, planner: Agent | None = None, name: str = "hybrid"):
         self.name = name
@@ -45,6 +45,7 @@ class HybridAgent(NamedAgent):
             unknown="free", margin=0.0, max_checks=MAX_CHECKS, attempts=ATTEMPTS
         )
         self.env_options: Mapping[str, Any] = {**self._planner.env_options, **self._policy.env_options}
+        self.takes_other_actions = "action" not in self._policy.env_options or takes_other_actions(self._policy)
         self.status = ""
         self._acting: Agent = self._policy
 

@@ -133,11 +133,11 @@ class LookingAgent(NamedAgent, ABC):
         max_views: Number of views after which it holds still; None for no limit.
 
     Attributes:
-        env_options: Puts the map into the observation.
+        env_options: Puts the map into the observation, and moves the joints.
     """
 
-    moves_joints = True
-    env_options: Mapping[str, Any] = MappingProxyType({"observation": "task"})
+    takes_other_actions = True
+    env_options: Mapping[str, Any] = MappingProxyType({"observation": "task", "action": "joint"})
 
     def __init__(self, max_views: int | None = None) -> None:
         self._max_views = np.inf if max_views is None else check_whole("max_views", max_views, 1)

@@ -148,8 +148,8 @@ class PlannerAgent(NamedAgent):
         InvalidValueError: The attempts are not a whole number of 1 or more.
     """
 
-    moves_joints = True
-    env_options: Mapping[str, Any] = MappingProxyType({})
+    takes_other_actions = True
+    env_options: Mapping[str, Any] = MappingProxyType({"action": "joint"})
 
     def __init__(
         self,

@@ -83,10 +83,10 @@ class ScanHarvester(NamedAgent):
         name: Name in tables.
     """
 
-    moves_joints = True
+    takes_other_actions = True
     env_options: Mapping[str, Any] = MappingProxyType(
         {
-            "task": "harvest", "plants": "compliant", "physics": "truth",
+            "task": "harvest", "plants": "compliant", "physics": "truth", "action": "joint",
             "observation": RgbObservation(DepthCamera("wrist", *IMAGE), depth=True),
         }
     )  # fmt: skip

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.agents.agent import Agent, NamedAgent, Problem, moves_joints
+from greenhouse_gym.agents.agent import Agent, NamedAgent, Problem, takes_other_actions
 from greenhouse_gym.agents.policy_agent import BEST, PolicyAgent
 from greenhouse_gym.envs.actions import CommandLimits, TipVelocity, ToolMotion
 from greenhouse_gym.envs.state import control_timing
@@ -50,7 +50,7 @@ class ShieldedAgent(NamedAgent):
         self.name = name
         self._agent: Agent = agent or PolicyAgent.load(BEST)
         self.env_options: Mapping[str, Any] = dict(self._agent.env_options)
-        self.moves_joints = moves_joints(self._agent)
+        self.takes_other_actions = takes_other_actions(self._agent)
         self.changed = 0
         self._rng = np.random.default_rng(0)
         self._checker: CollisionChecker | None = None

@@ -92,12 +92,12 @@ class WatchfulAgent(NamedAgent):
         InvalidValueError: A negative margin or depth, or an image without a width and a height of a pixel or more.
 
     Attributes:
-        env_options: Puts the camera's images into the observation.
+        env_options: Puts the camera's images into the observation, and moves the joints.
         status: Number of plans in the last episode, and the depth in unknown space that the last one allows, metres:
             "inf" if unknown space is free.
     """
 
-    name, moves_joints = "watchful", True
+    name, takes_other_actions = "watchful", True
 
     def __init__(
         self,
@@ -114,7 +114,9 @@ class WatchfulAgent(NamedAgent):
         self.status = ""
         self._levels = caution_levels(check_margin(margin), unexplained, depth)
         self._heed_unexplained, self._noisy = unexplained, noisy
-        self.env_options: Mapping[str, Any] = {"observation": DepthObservation(DepthCamera("wrist", *image))}
+        self.env_options: Mapping[str, Any] = {
+            "observation": DepthObservation(DepthCamera("wrist", *image)), "action": "joint",
+        }  # fmt: skip
         self._problem: Problem | None = None
         self._episode: _Episode | None = None
 

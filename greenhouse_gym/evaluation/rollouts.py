@@ -236,7 +236,7 @@ def retrace(
         **options: Keywords of the environment; see `evaluate`.
     """
     agent = agent_of(agent)
-    env = make_vec_env(1, **{**own_options(agent, options), **options, "split": split})
+    env = make_vec_env(1, **{**agent.env_options, **options, "split": split})
     try:
         numbers = check_items("seeds", seeds, "whole numbers")
         chosen = deque((require_seed(seed), dict[str, Any]()) for seed in numbers)

@@ -42,7 +42,7 @@ def test_agents_on_joint_paths_refuse_actions_of_the_tip(bank: SceneBank, agent:
 
 def test_joint_paths_are_followed_by_default(bank: SceneBank) -> None:
     assert evaluate(PlannerAgent(), bank=bank, problems=[("made-up-0", 0)]).success_rate == 1.0
-    for agent in (PlannerAgent(), ShieldedAgent(PlannerAgent()), HybridAgent(StillAgent())):
+    for agent in (PlannerAgent(), ShieldedAgent(PlannerAgent()), HybridAgent(StillAgent(), PlannerAgent())):
         assert options_for(agent, {})["action"] == "joint"
         assert options_for(agent, {"action": "joint_velocity"})["action"] == "joint_velocity"
     assert "action" not in options_for(StillAgent(), {})
