@@ -65,7 +65,7 @@ def test_warp_ends_episodes_as_mujoco_does(bank: SceneBank) -> None:
     )  # the same episodes, since the backends draw others
     np.testing.assert_allclose(first, mujoco.reset(), atol=1e-4)
     actions = np.zeros((3, 6), dtype=np.float32)
-    actions[1:, 0] = 1.0  # the first stands still until truncated, the others drive into the plants
+    actions[1:, 1] = 1.0  # the first stands still until truncated, the others fall into the plants
     running = np.ones(3, dtype=np.bool_)
     for _ in range(200):
         steps = [env.step(actions) for env in envs]
