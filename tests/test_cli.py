@@ -97,7 +97,8 @@ SMALL = ("--points", "2000", "--faces", "1500")
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_recording(half_recording(), tmp_path_factory.mktemp("row") / "recording")
+    three = from_stations(list(half_recording())[:3], half_recording())
+    return write_recording(three, tmp_path_factory.mktemp("row") / "recording")
 
 
 @pytest.fixture(scope="module")
@@ -117,15 +118,15 @@ def same_row(one: Path, two: Path) -> bool:
 @pytest.mark.xdist_group("row")
 def test_reconstruct_writes_cloud_mesh_report_and_pictures(reconstructed: Path) -> None:
     printed = (reconstructed.parent / "printed").read_text()
-    assert "5 of 5 stations" in printed
+    assert "3 of 3 stations" in printed
     assert "resuming" not in printed
     assert {path.name for path in reconstructed.iterdir()} == RESULTS
     row = load_row(reconstructed / "row.npz")
     assert row.registered.all()
-    assert len(json.loads((reconstructed / "report.json").read_text())["stations"]) == 5
+    assert len(json.loads((reconstructed / "report.json").read_text())["stations"]) == 3
     assert all(is_a_picture(path) for path in reconstructed.glob("*.png"))
     page = (reconstructed / "report.html").read_text()
-    assert "<dd>5 of 5</dd>" in page
+    assert "<dd>3 of 3</dd>" in page
     assert f"<dd>{len(row):,}</dd>" in page
     assert page.count('src="data:image/') == 9
 
@@ -134,7 +135,7 @@ def test_reconstruct_writes_cloud_mesh_report_and_pictures(reconstructed: Path) 
 def test_an_interrupted_reconstruction_goes_on_and_leaves_earlier_results_whole(
     recording: Path, reconstructed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Ctrl-C at the third station, then a disk that is full when the clouds are written, then all is well."""
+    """Ctrl-C at the second station, then a disk that is full when the clouds are written, then all is well."""
     old = {
         "row.npz",
         "row.ply",
@@ -155,7 +156,7 @@ def test_an_interrupted_reconstruction_goes_on_and_leaves_earlier_results_whole(
     @contextmanager
     def interrupted(what: str, total: int) -> Iterator[Callable[[int], None]]:
         def done(count: int) -> None:
-            if count == 3:
+            if count == 2:
                 raise KeyboardInterrupt
 
         yield done
@@ -167,7 +168,7 @@ def test_an_interrupted_reconstruction_goes_on_and_leaves_earlier_results_whole(
         patched.setattr("greenhouse_gym.cli.reconstruction_commands.progress", interrupted)
         result = CliRunner().invoke(app, ["reconstruct", str(recording), "--out", str(tmp_path)])
     assert result.exit_code == 130
-    assert f"3 of 5 stations are kept in {tmp_path / 'registration'}; repeat the command to resume" in result.output
+    assert f"2 of 3 stations are kept in {tmp_path / 'registration'}; repeat the command to resume" in result.output
     assert untouched()
 
     with monkeypatch.context() as patched:
@@ -175,7 +176,7 @@ def test_an_interrupted_reconstruction_goes_on_and_leaves_earlier_results_whole(
         assert "No space left" in str(fails("reconstruct", recording, "--out", tmp_path, *SMALL))
     assert untouched()
 
-    assert "resuming after station 4\n" in run("reconstruct", recording, "--out", tmp_path, *SMALL)
+    assert "resuming after station 2\n" in run("reconstruct", recording, "--out", tmp_path, *SMALL)
     assert {path.name for path in tmp_path.iterdir()} == RESULTS | {"notes.txt", "row-old.ply"}
     assert same_row(tmp_path, reconstructed)
 
@@ -184,19 +185,19 @@ def test_an_interrupted_reconstruction_goes_on_and_leaves_earlier_results_whole(
 def test_a_gap_in_the_row_makes_two_segments(tmp_path: Path) -> None:
     """And a name that is markup, for browsers and for the terminal, is shown as it is."""
     other = simulate_recording(grow_row(seed=5, length=0.3), seed=5, rig=HALF)
-    stations = [*list(half_recording())[:4], *list(other)[:3]]
+    stations = [*list(half_recording())[:3], *list(other)[:3]]
     hostile = replace(from_stations(stations, half_recording()), name="<script>alert(1)</script>[/]")
     write_recording(hostile, tmp_path / "recording")
     out = tmp_path / "[red]out"
     printed = run("reconstruct", tmp_path / "recording", "--out", out, *SMALL, "--method", "alpha_shape")
-    assert "7 of 7 stations" in printed
-    assert "station 4 begins a new segment: " in printed
+    assert "6 of 6 stations" in printed
+    assert "station 3 begins a new segment: " in printed
     assert "warning: the row splits into 2 segments" in printed
     assert str(out) in printed
     assert {path.name for path in out.iterdir()} == RESULTS | {"row-2.npz", "row-2.ply"}
     first, second = load_row(out / "row.npz"), load_row(out / "row-2.npz")
-    assert first.registered.tolist() == [True] * 4 + [False] * 3
-    assert second.registered.tolist() == [False] * 4 + [True] * 3
+    assert first.registered.tolist() == [True] * 3 + [False] * 3
+    assert second.registered.tolist() == [False] * 3 + [True] * 3
     page = (out / "report.html").read_text()
     assert "<script" not in page
     assert "<h1>&lt;script&gt;alert(1)&lt;/script&gt;[/]</h1>" in page
@@ -451,7 +452,7 @@ def test_the_demo_runs_whole(tmp_path: Path) -> None:
     for path in out.glob("*.png"):
         assert is_a_picture(path), path.name
     results = json.loads((out / "results.json").read_text())
-    assert results["stations"] == results["stations_registered"] == 6
+    assert results["stations"] == results["stations_registered"] == 4
     assert results["targets_with_goal"] >= 3
     assert results["targets_reached"] >= 0.9 * results["targets_with_goal"]
     assert results["plans_followed_in_truth"] + results["refused"] == 3
@@ -462,7 +463,7 @@ def test_the_demo_runs_whole(tmp_path: Path) -> None:
     assert results["simplified_points"] == pytest.approx(10_000, rel=0.05)
     assert 0 < results["faces"] <= 18_000
     assert len(SceneBank.open(out / "bank")) == results["scenes"] == 2
-    assert len(open_recording(out / "recording")) == 6
+    assert len(open_recording(out / "recording")) == 4
     assert (out / "comparison.md").read_text().count("|") > 20
     assert (out / "ppo" / "policy.json").is_file()
     assert (out / "13-policy.mp4").stat().st_size > 0

@@ -17,7 +17,7 @@ pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="commands are fo
 PPO = "--bank mini --set num_envs=4 --set rollout_steps=32 --set batch_size=64 --set hidden=[8]"
 COMMANDS: Mapping[str, str] = MappingProxyType(
     {
-        "simulate": "simulate OUT --length 0.2",
+        "simulate": "simulate OUT --length 0.1",
         "import": "import RECORDING --out OUT",
         "reconstruct": "reconstruct RECORDING --out OUT --points 2000 --faces 1500",
         "shapes": "shapes CLOUD --out OUT",

@@ -7,6 +7,7 @@ import io
 import re
 import tokenize
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -100,19 +101,26 @@ class Line(NamedTuple):
         return f"{self.path.relative_to(ROOT)}:{self.number}: {self.text}"
 
 
+@cache
+def nodes(code: str) -> list[ast.AST]:
+    return list(ast.walk(ast.parse(code)))
+
+
 def docstrings(path: Path, code: str) -> Iterator[Line]:
     """Yield the docstrings of a module, its classes and its functions."""
-    for node in ast.walk(ast.parse(code)):
+    for node in nodes(code):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
             yield Line(path, getattr(node, "lineno", 1), ast.get_docstring(node) or "")
 
 
 def prose(path: Path, code: str) -> Iterator[Line]:
-    """Yield the lines of all strings and comments of a module."""
-    for node in ast.walk(ast.parse(code)):
+    """Yield the lines of all strings of a module and, if there is a phrase in its text, of its comments."""
+    for node in nodes(code):
         if isinstance(node, ast.Constant) and isinstance(node.value, str):
             for i, text in enumerate(node.value.splitlines()):
                 yield Line(path, node.lineno + i, text.strip())
+    if not PHRASES.search(code):
+        return  # no comment has one either, and to read the tokens takes long
     for token in tokenize.generate_tokens(io.StringIO(code).readline):
         if token.type == tokenize.COMMENT:
             yield Line(path, token.start[0], token.string)
@@ -120,7 +128,7 @@ def prose(path: Path, code: str) -> Iterator[Line]:
 
 def definitions(path: Path, code: str) -> Iterator[Line]:
     """Yield the names that a module gives to functions, classes, arguments, variables and attributes."""
-    for node in ast.walk(ast.parse(code)):
+    for node in nodes(code):
         name = None
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
             name = node.name

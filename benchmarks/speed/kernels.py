@@ -23,7 +23,8 @@ import numpy as np
 
 from benchmarks.common import RESULTS, in_own_process, parser, processor_seconds, seconds_of, write_entry
 from greenhouse_gym.agents import WatchfulAgent
-from greenhouse_gym.envs.worlds import Worlds, capacity_of
+from greenhouse_gym.envs.world import capacity_of
+from greenhouse_gym.envs.worlds import Worlds
 from greenhouse_gym.evaluation import evaluate
 from greenhouse_gym.motion.collision import CollisionChecker
 from greenhouse_gym.motion.proof import checker_of

@@ -47,7 +47,7 @@ def excess(shapes: Sequence[Shape], truth: PlantRow) -> float:
 
 
 def outer_samples(shapes: Sequence[Shape], count: int, rng: np.random.Generator) -> Array:
-    """Return points (n, 3) on the outside: of ``count`` spread over all surfaces, those not inside another shape."""
+    """Sample ``count`` points on all surfaces and return those (n, 3) that lie inside no other shape."""
     if not shapes:
         return np.zeros((0, 3))
     areas = np.array([_area(shape) for shape in shapes])

@@ -169,8 +169,9 @@ class _Pick:
             if not self._goes_on(trial, fruit):
                 return False
             scene, tomatoes = trial.scene(leaves=True)
-            far = max(tomatoes.values(), key=lambda k: float(np.linalg.norm(scene.tomatoes[k].center - trial.tip[0])))
-            if self._follow(trial, scene, far if tomatoes else 0, loaded, self._above_crate(trial), 0):
+            others = tomatoes.values() or range(len(scene.tomatoes))  # with the last fruit, none to be picked hangs
+            far = max(others, key=lambda k: float(np.linalg.norm(scene.tomatoes[k].center - trial.tip[0])))
+            if self._follow(trial, scene, far, loaded, self._above_crate(trial), 0):
                 break
         if not self._goes_on(trial, fruit):
             return False

@@ -13,7 +13,7 @@ from greenhouse_gym.agents.agent import Agent, NamedAgent, Problem, takes_other_
 from greenhouse_gym.agents.planner_agent import PlannerAgent
 from greenhouse_gym.agents.policy_agent import BEST, PolicyAgent
 from greenhouse_gym.envs import make_env
-from greenhouse_gym.envs.worlds import capacity_for
+from greenhouse_gym.envs.world import capacity_for
 
 MAX_CHECKS, ATTEMPTS = 300_000, 4
 """Collision checks of one plan, and number of attempts. Hard targets of the validation rows for which 100,000 checks

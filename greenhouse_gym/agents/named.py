@@ -38,8 +38,10 @@ _LONGEST_NAME = 1000  # characters; longer paths are errors of the system
 
 def _training(path: Path) -> Path | None:
     """Return the folder of a training, given the folder or its checkpoint; None for anything else."""
-    folder = path.parent if path.name == _CHECKPOINT else path
-    return folder if (folder / _CHECKPOINT).is_file() else None
+    if path.name == _CHECKPOINT:
+        return path.parent if path.is_file() else None
+    files = (path / _CHECKPOINT, description_path(path / "policy"))  # trainings on Warp have no checkpoint
+    return path if any(file.is_file() for file in files) else None
 
 
 def agent_of(agent: Agent | str) -> Agent:

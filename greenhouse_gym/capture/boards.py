@@ -77,13 +77,8 @@ class BoardCalibration:
     shifted: Mapping[str, float]  # translation of each camera against the rig, metres
 
 
-def find_board(frame: RgbdFrame, board: Board) -> BoardDetection | None:
-    """Detect the board in an image; None where too few of its corners are visible."""
-    return _detect(frame, board)[0]
-
-
-def _detect(frame: RgbdFrame, board: Board) -> tuple[BoardDetection | None, int]:
-    """Return the board in an image, and the number of visible markers."""
+def find_board(frame: RgbdFrame, board: Board) -> tuple[BoardDetection | None, int]:
+    """Return the board in an image, None if too few of its corners are visible, and the number of visible markers."""
     gray = cv2.cvtColor(frame.color, cv2.COLOR_RGB2GRAY)
     markers: list[Any] = []
     for legacy in (False, True) if board.rows % 2 == 0 else (False,):
@@ -122,7 +117,7 @@ def calibrate_from_boards(stations: Iterable[Station], rig: Rig, board: Board) -
     ratios: dict[str, list[float]] = {name: [] for name in rig.cameras}
     other_layout = 0
     for station in stations:
-        detected = {name: _detect(frame, board) for name, frame in station.frames.items()}
+        detected = {name: find_board(frame, board) for name, frame in station.frames.items()}
         visible = {name: found for name, (found, _) in detected.items() if found}
         other_layout += sum(found is None and markers >= _MIN_MARKERS for found, markers in detected.values())
         for name, detection in visible.items():

@@ -45,7 +45,7 @@ def _run(out: Path, seed: int, settings: DemoSettings) -> DemoReport:
     cloud = reconstruct(out, row, recording, report)
     shapes = extract(out, row, recording, cloud, report)
     bank = build(out, recording, cloud, shapes, settings, report)
-    plan_to_every_tomato(out, bank, report)
+    plan_to_every_tomato(bank, report)
     follow_in_the_true_row(bank, settings, report)
     draw_the_arm(out, recording, cloud, bank, report)
     curve = train(out, seed, settings, report)

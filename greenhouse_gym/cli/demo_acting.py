@@ -46,7 +46,7 @@ def build(
     return bank
 
 
-def plan_to_every_tomato(out: Path, bank: SceneBank, report: DemoReport) -> None:
+def plan_to_every_tomato(bank: SceneBank, report: DemoReport) -> None:
     """Plan to each tomato in the reconstruction, and follow each path."""
     from greenhouse_gym.agents import PlannerAgent
     from greenhouse_gym.evaluation import evaluate

@@ -26,7 +26,7 @@ class DemoSettings:
 
 
 QUICK = DemoSettings(
-    length=0.6, training_bank="mini", training_steps=10_000, episodes=5, scene_width=0.4, followed=3, step_limit=40
+    length=0.4, training_bank="mini", training_steps=10_000, episodes=5, scene_width=0.4, followed=3, step_limit=40
 )
 
 

@@ -156,7 +156,7 @@ def _grow_truss(
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     pedicels = rng.uniform(0.009, 0.022, count)
     centers = joints + (pedicels + radii)[:, None] * directions
-    centers = push_apart(centers, radii, joints, pedicels + radii, rachis, node, stem_radius)
+    centers = push_apart(centers, radii, joints, rachis, node, stem_radius)
     for joint, center, radius in zip(joints, centers, radii, strict=True):
         towards = (center - joint) / np.linalg.norm(center - joint)
         parts.append(Stem(joint, center - radius * towards, max(0.7 * thickness, 0.001), kind="pedicel"))
@@ -168,10 +168,8 @@ def _grow_truss(
     return fruits, parts
 
 
-def push_apart(
-    centers: Array, radii: Array, joints: Array, reaches: Array, rachis: Array, node: Array, stem_radius: float
-) -> Array:
-    """Relax fruit centers (n, 3) until fruits clear each other, the rachis and the main stem, within their reaches."""
+def push_apart(centers: Array, radii: Array, joints: Array, rachis: Array, node: Array, stem_radius: float) -> Array:
+    """Relax fruit centers (n, 3) until fruits clear each other, their pedicels, the rachis and the main stem."""
     centers = centers.copy()
     gap = radii[:, None] + radii[None] + 0.0005
 

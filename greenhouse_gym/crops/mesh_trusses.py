@@ -102,7 +102,7 @@ def grow_mesh_truss(
     round_radii = widths / 2 * np.cbrt(aspect) * max(1.0, np.sqrt(aspect))
     centers = joints + (reach + round_radii)[:, None] * directions
     if number:
-        centers = push_apart(centers, round_radii, joints, reach + round_radii, points, node[:3], float(node[3]))
+        centers = push_apart(centers, round_radii, joints, points, node[:3], float(node[3]))
     tomatoes: list[Tomato] = []
     for k in range(number):
         towards = (centers[k] - joints[k]) / np.linalg.norm(centers[k] - joints[k])

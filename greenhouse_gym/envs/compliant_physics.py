@@ -14,7 +14,7 @@ from greenhouse_gym.envs.actions import ToolMotion
 from greenhouse_gym.envs.contacts import CONTACT_GROUPS, Contact, Contacts
 from greenhouse_gym.envs.randomization import Disturbance, displace_base
 from greenhouse_gym.envs.state import ControlTiming, Ids
-from greenhouse_gym.envs.worlds import World
+from greenhouse_gym.envs.world import World
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.plants.layout import CRATE_BOXES, Layout, SlotIds

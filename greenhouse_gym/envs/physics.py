@@ -15,7 +15,7 @@ from greenhouse_gym.envs.contacts import CONTACT_GROUPS, LEAF, Contact, Contacts
 from greenhouse_gym.envs.randomization import Disturbance, displace_base
 from greenhouse_gym.envs.state import Bools, ControlTiming, Ids
 from greenhouse_gym.envs.stepping import ManyStepper, OneStepper, Stepper
-from greenhouse_gym.envs.worlds import World
+from greenhouse_gym.envs.world import World
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.leaf_contacts import LeafContacts
 from greenhouse_gym.scene.geom_order import compiled_geom_id, put_arm_first

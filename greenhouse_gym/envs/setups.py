@@ -10,7 +10,8 @@ import numpy as np
 from greenhouse_gym.envs.episodes import Episode, EpisodeSampler
 from greenhouse_gym.envs.randomization import Disturbance, Randomization, draw_disturbance
 from greenhouse_gym.envs.task import Task
-from greenhouse_gym.envs.worlds import World, Worlds
+from greenhouse_gym.envs.world import World
+from greenhouse_gym.envs.worlds import Worlds
 from greenhouse_gym.scene.occupancy import require_occupancy
 
 

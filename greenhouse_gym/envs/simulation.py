@@ -15,7 +15,8 @@ from greenhouse_gym.envs.actions import CommandLimits, check_actions, squared_no
 from greenhouse_gym.envs.checked_parts import is_of_user, outcome_check, remembered
 from greenhouse_gym.envs.choices import make_action, make_observation, make_reward, make_task
 from greenhouse_gym.envs.compliant_physics import CompliantPhysics, CompliantSimulation
-from greenhouse_gym.envs.contacts import NAME_SEPARATOR, NO_CONTACT, Contact, Contacts
+from greenhouse_gym.envs.contacts import Contacts
+from greenhouse_gym.envs.episode_counts import EpisodeCounts
 from greenhouse_gym.envs.episodes import Episode, EpisodeSampler
 from greenhouse_gym.envs.observations import Observed, check_goals
 from greenhouse_gym.envs.perception import Perception
@@ -25,7 +26,8 @@ from greenhouse_gym.envs.settings import EnvSettings
 from greenhouse_gym.envs.setups import Setup, draw_setup
 from greenhouse_gym.envs.state import HIDDEN, Ids, State, control_timing
 from greenhouse_gym.envs.task import GoalTask, Outcome
-from greenhouse_gym.envs.worlds import capacity_of, shared_worlds
+from greenhouse_gym.envs.world import capacity_of
+from greenhouse_gym.envs.worlds import shared_worlds
 from greenhouse_gym.errors import InvalidValueError, NoEpisodeError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.plants.layout import Layout
@@ -107,11 +109,7 @@ class Simulation:
         self._physics: AnyPhysics | None = None
         self._reference: mujoco.MjModel | None = None
         self._setups: list[Setup | None] = [None] * count
-        self._names = {key: np.full(count, "", dtype=object) for key in ("scene", "difficulty")}
-        self._contact, self._self_collision = np.full(count, "", dtype=object), np.zeros(count, dtype=np.bool_)
-        # counts of the episode so far, and the current target as an index into the episode's targets and as a tomato
-        counted = ("steps", "speed_limited", "position_limited", "index", "target", "brushed_steps", "brushing")
-        self._counts = {key: np.zeros(count, dtype=np.int64) for key in counted}
+        self._counts = EpisodeCounts(count)
         requires_roadmap = self.observe.requires_roadmap or reward_requires_roadmap
         self._perception = Perception(
             count, robot, self.observe, self.worlds, requires_roadmap, threads, self.task.camera
@@ -162,23 +160,16 @@ class Simulation:
         with progress("simulations begun", len(ids), shown=first) as on_progress:
             for done, (i, setup) in enumerate(zip(ids.tolist(), setups, strict=True), start=1):
                 physics.load(i, setup.world, self._touchable(setup.episode), setup.disturbance)
-                self._begin(i, setup)
+                self._setups[i] = setup
+                self._counts.begin(i, setup.episode)
+                self._perception.begin(i, setup)
                 on_progress(done)
         contacts = physics.place(ids, np.array([setup.episode.start for setup in setups]))
-        self._record_contacts(contacts)
+        self._counts.record(contacts)
         begun = [remembered(self.task, {**self.task.memory, **self.task.begin(setup.world)}) for setup in setups]
         memory = {name: np.stack([values[name] for values in begun]) for name in self.task.memory}
-        fresh, _ = self._look(ids, contacts, self._counts["steps"], memory)
+        fresh, _ = self._look(ids, contacts, self._counts.steps, memory)
         self.state = fresh if len(ids) == self.count else self._current_state().replaced(ids, fresh)
-
-    def _begin(self, i: int, setup: Setup) -> None:
-        self._setups[i] = setup
-        self._names["scene"][i], self._names["difficulty"][i] = setup.episode.scene.name, setup.episode.difficulty
-        for counts in self._counts.values():
-            counts[i] = 0
-        self._counts["target"][i] = setup.episode.targets[0]
-        self._record_contact(i, NO_CONTACT)
-        self._perception.begin(i, setup)
 
     def close(self) -> None:
         """Free the simulations; the next reset creates new ones."""
@@ -199,17 +190,12 @@ class Simulation:
         change = self.action_rule(arm, shown, physics.motion(self._perception.heading))
         command = self._limit(physics.command, change, physics.qpos)
         contacts = physics.advance(command.position, self.task.holds(controls))
-        self._record_contacts(contacts)
-        counts["steps"] += 1
-        counts["speed_limited"] += command.speed_limited
-        counts["position_limited"] += command.position_limited
-        counts["brushed_steps"] += contacts.leaf_steps
-        counts["brushing"][:] = contacts.leaf_steps
+        counts.add_step(command, contacts)
         memory = self._with_views(before.memory, np.flatnonzero(self.task.looks(controls)))
-        after, outcome = self._look(slice(None), contacts, counts["steps"], memory)
+        after, outcome = self._look(slice(None), contacts, counts.steps, memory)
         self.state = after
         transition = Transition(
-            before.distance, after.distance, after.collided, after.success, squared_norm(action), counts["steps"],
+            before.distance, after.distance, after.collided, after.success, squared_norm(action), counts.steps,
             (before, after),
         )  # fmt: skip
         terms = self.reward_terms(transition)
@@ -222,7 +208,7 @@ class Simulation:
         terminated = after.success | after.failure
         if outcome.next_target is not None:
             self._advance_targets(np.flatnonzero(outcome.next_target & ~terminated & (after.remaining > 1)))
-        truncated = (counts["steps"] >= self.step_limit) & ~terminated
+        truncated = (counts.steps >= self.step_limit) & ~terminated
         return StepResult(total_reward(terms), terms, terminated, truncated, transition)
 
     def _look(
@@ -255,22 +241,15 @@ class Simulation:
         if not len(ids):
             return
         state, counts = self._current_state(), self._counts
-        counts["index"][ids] += 1
+        counts.index[ids] += 1
         for i in ids.tolist():
-            counts["target"][i] = self.episode(i).targets[counts["index"][i]]
-            self._perception.set_target(i, counts["index"][i], self.command[i].copy())
+            counts.target[i] = self.episode(i).targets[counts.index[i]]
+            self._perception.set_target(i, counts.index[i], self.command[i].copy())
         contacts = Contacts(state.contacts[ids], np.zeros_like(ids), state.collided[ids], {})
         memory = {name: values[ids] for name, values in state.memory.items()}
-        fresh, _ = self._look(ids, contacts, np.zeros_like(counts["steps"]), memory)
+        fresh, _ = self._look(ids, contacts, np.zeros_like(counts.steps), memory)
         done = np.zeros(len(ids), dtype=np.bool_)
         self.state = state.replaced(ids, fresh._replace(success=done, failure=done, memory=memory))
-
-    def _record_contacts(self, contacts: Contacts) -> None:
-        for i, contact in contacts.first.items():
-            self._record_contact(i, contact)
-
-    def _record_contact(self, i: int, contact: Contact) -> None:
-        self._contact[i], self._self_collision[i] = NAME_SEPARATOR.join(contact.names), contact.self_collision
 
     def observation(self, ids: Ids | None = None) -> Observed:
         """Return observations of all or some simulations."""
@@ -282,27 +261,11 @@ class Simulation:
 
         Contacts are an array (n, groups).
         """
-        state, counts = self._current_state(), self._counts
-        result: dict[str, npt.NDArray[Any]] = {
-            "is_success": state.success,
-            "collision": state.collided,
-            "contact": self._contact,
-            "self_collision": self._self_collision,
-            "contacts": state.contacts,
-            "distance": state.distance,
-            "clearance": state.clearance.min(axis=1).astype(np.float64),
-            "scene": self._names["scene"],
-            "target": counts["target"],
-            "difficulty": self._names["difficulty"],
-            "steps": counts["steps"],
-            "speed_limited": counts["speed_limited"],
-            "position_limited": counts["position_limited"],
-            **{name: state.memory[name] for name in self._numbers},
-        }
+        state = self._current_state()
+        result = {**self._counts.info(state), **{name: state.memory[name] for name in self._numbers}}
         if self.brush_cost is not None:
-            result["brushing"] = TIMESTEP * counts["brushing"]
-            result["brushed_time"] = TIMESTEP * counts["brushed_steps"]
             assert isinstance(self._physics, Physics)
+            result |= self._counts.brush_info()
             result["brushed_leaves"] = np.array([len(leaves) for leaves in self._physics.brushed])
         if step is not None and self.observe.has_goals:
             assert isinstance(self.task, GoalTask)
@@ -322,7 +285,7 @@ class Simulation:
     def target(self, i: int) -> int:
         """Return the current target of a simulation, an index into the tomatoes of its scene."""
         self._current_state()
-        return int(self._counts["target"][i])
+        return int(self._counts.target[i])
 
     @property
     def command(self) -> Array:

@@ -27,7 +27,7 @@ from greenhouse_gym.rendering.cameras import DepthCamera
 
 if TYPE_CHECKING:
     from greenhouse_gym.envs.views import View
-    from greenhouse_gym.envs.worlds import World
+    from greenhouse_gym.envs.world import World
 
 TARGET_FEATURES = ("grasp_offset", "target_position", "target_direction", "turn_to_target")
 """Features of a task with one target at a time, see `GreenhouseEnv`."""

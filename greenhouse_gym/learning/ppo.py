@@ -28,8 +28,8 @@ with needs("train"):
 
     from greenhouse_gym.learning.sb3_features import policy_for
     from greenhouse_gym.learning.training_files import load_checkpoint, settings_of
+    from greenhouse_gym.learning.training_report import TrainingReport
     from greenhouse_gym.learning.training_run import (
-        TrainingReport,
         as_json,
         check_start,
         learn,

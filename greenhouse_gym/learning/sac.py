@@ -24,9 +24,8 @@ with needs("train"):
     from greenhouse_gym.learning.sb3_features import policy_for
     from greenhouse_gym.learning.sb3_her import GoalReplayBuffer
     from greenhouse_gym.learning.training_files import load_checkpoint, settings_of
+    from greenhouse_gym.learning.training_report import TrainingReport, Validation
     from greenhouse_gym.learning.training_run import (
-        TrainingReport,
-        Validation,
         as_json,
         check_start,
         learn,

@@ -24,7 +24,7 @@ from greenhouse_gym.motion.goals import search_goals
 from greenhouse_gym.motion.proof import ProvingChecker, checker_of
 from greenhouse_gym.motion.unknown_space import depths_of, guarded, unknown_lengths
 from greenhouse_gym.planning.own_planners import PlannerFailedError
-from greenhouse_gym.planning.query import plan_with
+from greenhouse_gym.planning.planner_run import plan_with
 from greenhouse_gym.planning.result import PlanResult
 from greenhouse_gym.robots import Robot, get_robot
 from greenhouse_gym.scene import Scene, Target

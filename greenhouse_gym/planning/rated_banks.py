@@ -1,4 +1,4 @@
-"""Banks whose scenes are rated, for another arm or in another manner; an interrupted run resumes."""
+"""Banks whose scenes are rated again, for another arm or for leaves that give way; an interrupted run resumes."""
 
 from __future__ import annotations
 

@@ -94,14 +94,12 @@ class Topology:
         leaves: Leaves.
         clutter: Rows of all clutter.
         fixed: Rows of the clutter that is no leaf, such as gutters.
-        without_pedicel: Number of fruit for which no pedicel was found; they hang on the nearest rachis.
     """
 
     trusses: tuple[Truss, ...]
     leaves: tuple[Leaf, ...]
     clutter: range
     fixed: Rows
-    without_pedicel: int
 
     def truss_of(self, fruit: int) -> Truss:
         """Return the truss of a fruit, given by its index among the tomatoes."""
@@ -129,7 +127,7 @@ def topology_of(shapes: Shapes, name: str) -> Topology:
     main, rachis = (_Segments.of(arrays, of_kind[kind]) for kind in ("main", "peduncle"))
     branches = [_branch(arrays, rows, main) for rows in _chains(arrays, of_kind["peduncle"])]
     owner = {row: k for k, branch in enumerate(branches) for row in branch.rows}
-    fruit, missing = _fruit(arrays, tomatoes, of_kind["pedicel"], rachis)
+    fruit = _fruit(arrays, tomatoes, of_kind["pedicel"], rachis)
     clutter = np.arange(tomatoes + stems, len(arrays.kinds))
     petioles = clutter[arrays.kinds[clutter] == CAPSULE]
     plates = clutter[(arrays.kinds[clutter] == BOX) & (arrays.sizes[clutter].max(axis=1) <= MAX_PLATE)]
@@ -142,7 +140,7 @@ def topology_of(shapes: Shapes, name: str) -> Topology:
     fixed = clutter[(arrays.kinds[clutter] == BOX) & (arrays.sizes[clutter].max(axis=1) > MAX_PLATE)]
     leaves = _leaves(arrays, petioles, plates, main)
     everything = range(tomatoes + stems, len(arrays.kinds))
-    return Topology(tuple(trusses), leaves, everything, tuple(fixed.tolist()), missing)
+    return Topology(tuple(trusses), leaves, everything, tuple(fixed.tolist()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,15 +193,13 @@ def _branch(arrays: ShapeArrays, rows: npt.NDArray[np.int64], parents: _Segments
     return Branch(root, here, tuple(ordered))
 
 
-def _fruit(
-    arrays: ShapeArrays, tomatoes: int, pedicels: npt.NDArray[np.int64], rachis: _Segments
-) -> tuple[list[Fruit], int]:
-    """Return the fruit with their pedicels, and the number without one."""
+def _fruit(arrays: ShapeArrays, tomatoes: int, pedicels: npt.NDArray[np.int64], rachis: _Segments) -> list[Fruit]:
+    """Return the fruit with their pedicels; fruit without one hang on the nearest rachis."""
     branches = [_branch(arrays, rows, rachis) for rows in _chains(arrays, pedicels)]
     tips = np.array([branch.tip for branch in branches]).reshape(-1, 3)
     centers, radii = arrays.starts[:tomatoes], np.cbrt(np.maximum(arrays.sizes[:tomatoes], 0).prod(axis=1))
     radii = np.where(radii > 0, radii, arrays.sizes[:tomatoes, 0])
-    free, result, missing = np.ones(len(tips), dtype=np.bool_), [], 0
+    free, result = np.ones(len(tips), dtype=np.bool_), []
     for row, (center, radius) in enumerate(zip(centers, radii, strict=True)):
         gaps = np.where(free, np.abs(np.linalg.norm(tips - center, axis=1) - radius), np.inf)
         k = int(gaps.argmin()) if len(gaps) else -1
@@ -211,12 +207,11 @@ def _fruit(
             free[k] = False
             result.append(Fruit(row, branches[k].root, branches[k].rows))
         else:
-            missing += 1
             nearest = int(np.flatnonzero(rachis.rows == rachis.nearest(center[None])[0][0])[0])
             start, end = rachis.starts[nearest], rachis.ends[nearest]
             t = np.clip((center - start) @ (end - start) / max((end - start) @ (end - start), 1e-18), 0.0, 1.0)
             result.append(Fruit(row, start + t * (end - start), ()))
-    return result, missing
+    return result
 
 
 def _with_calyx(

@@ -21,6 +21,15 @@ def test_names_of_every_kind() -> None:
     assert isinstance(make_agent("greenhouse_gym.agents:RandomAgent"), RandomAgent)
 
 
+def test_the_folder_of_a_training_without_a_checkpoint(tmp_path: Path) -> None:
+    """Trainings on Warp write a policy alone."""
+    PolicyAgent.load("ppo-ur5e").policy.save(tmp_path / "first" / "policy")
+    agent = make_agent(str(tmp_path / "first"))
+    assert (type(agent), agent.name) == (PolicyAgent, "first")
+    with pytest.raises(UnknownNameError):
+        make_agent(str(tmp_path / "first" / "checkpoint.safetensors"))
+
+
 class WithoutOmpl(Mapping[str, object]):
     def __getitem__(self, name: str) -> object:
         raise MissingDependencyError("ompl", "plan")

@@ -118,7 +118,7 @@ def test_boards_that_few_cameras_see_are_reported() -> None:
     blind = [Station({**station.frames, "last": beside}) for station in shown()[:3]]
     with pytest.raises(InvalidValueError, match=r"last \(0 times\)"):
         calibrate_from_boards(blind, true_rig(), BOARD)
-    assert find_board(blind[0].frames["last"], BOARD) is None
+    assert find_board(blind[0].frames["last"], BOARD)[0] is None
 
 
 @pytest.mark.parametrize("bad", [{"dictionary": "DICT_9X9"}, {"columns": 2}, {"marker": 0.05}])
@@ -159,7 +159,7 @@ def test_boards_of_both_layouts_are_found(columns: int, rows: int, legacy: bool)
     picture = board.to_opencv(legacy).generateImage((60 * columns, 60 * rows), marginSize=20)
     k = Intrinsics(picture.shape[1], picture.shape[0], 500.0, 500.0, picture.shape[1] / 2, picture.shape[0] / 2)
     frame = RgbdFrame(np.dstack([picture] * 3), np.zeros(picture.shape, np.float32), k)
-    found = find_board(frame, board)
+    found, _ = find_board(frame, board)
     assert found is not None
     assert len(found.pixels) == (columns - 1) * (rows - 1)
     np.testing.assert_allclose(found.camera_from_board[:3, :3], np.eye(3), atol=0.02)

@@ -10,7 +10,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from greenhouse_gym.envs import GreenhouseEnv, GreenhouseVectorEnv, worlds
+from greenhouse_gym.envs import GreenhouseEnv, GreenhouseVectorEnv, world, worlds
+from greenhouse_gym.envs.world import capacity_of
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Box, pose
 from greenhouse_gym.robots import get_robot
@@ -54,7 +55,7 @@ def test_truth_chooses_its_capacity_from_the_bank(bank: SceneBank, tmp_path: Pat
     env = GreenhouseVectorEnv(2, bank=true, physics="truth")
     env.reset(seed=0)
     assert env.simulation.worlds.capacity == 700
-    assert worlds.capacity_of(true, "reconstruction") == worlds.capacity_of(bank, "truth") == 600
+    assert capacity_of(true, "reconstruction") == capacity_of(bank, "truth") == 600
     with pytest.raises(InvalidValueError, match=r"made-up-\d.*no truth.*simulated"):
         GreenhouseVectorEnv(2, bank=bank, physics="truth").reset(seed=0)
 
@@ -62,11 +63,12 @@ def test_truth_chooses_its_capacity_from_the_bank(bank: SceneBank, tmp_path: Pat
 def test_truth_of_more_shapes_than_are_allowed_names_the_scene_and_the_remedy(
     bank: SceneBank, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(worlds, "MAX_CAPACITY", 640)
+    for module in (world, worlds):
+        monkeypatch.setattr(module, "MAX_CAPACITY", 640)
     crowd = tuple(Box([2.0, 0.01 * k, 1.0], [0.01, 0.001, 0.01], np.eye(3)) for k in range(633))
     scenes = [scene.model_copy(update={"truth": Shapes(tomatoes=scene.tomatoes, clutter=crowd)}) for scene in bank]
     crowded = write_bank(tmp_path, [(scene, bank.split_of(scene.name)) for scene in scenes], name="crowded")
-    assert worlds.capacity_of(crowded, "truth") == 640
+    assert capacity_of(crowded, "truth") == 640
     with pytest.raises(InvalidValueError, match=r"made-up-\d.* has 645 obstacles, more than the 640.*larger .*leaves"):
         GreenhouseVectorEnv(2, bank=crowded, physics="truth").reset(seed=0)
 
@@ -92,7 +94,7 @@ def test_a_bank_whose_manifest_does_not_tell_how_large_its_scenes_are_gets_the_u
     (written.path / "manifest.json").write_text(json.dumps(manifest))
     earlier = SceneBank.open(tmp_path)
     assert earlier.largest_scene() is None
-    assert worlds.capacity_of(earlier, "reconstruction") == 600
+    assert capacity_of(earlier, "reconstruction") == 600
 
 
 def test_a_bank_that_is_written_anew_gives_its_new_scenes(scene: Scene, tmp_path: Path) -> None:

@@ -270,7 +270,7 @@ def test_what_is_on_the_leaderboard_comes_out_again(path: Path) -> None:
     track = next(iter(entry.tracks))
     records = entry.evaluation(track).records
     seconds = sum(record.planning_time + record.steps * record.action_time for record in records) / len(records)
-    _comes_out_again(entry, track, episodes=10 if seconds < 1.0 else 3)
+    _comes_out_again(entry, track, episodes=10 if seconds < 1.0 else 2)
 
 
 @pytest.mark.slow
@@ -286,7 +286,7 @@ def _comes_out_again(entry: Entry, track: str, episodes: int) -> None:
         pytest.skip("of an earlier bank: the table does not rank it")
     pairs = replay(entry, make_agent(entry.agent), track, episodes)
     same = sum(before.success == now.success and before.steps == now.steps for before, now in pairs)
-    assert same >= 9 * episodes // 10, "another machine may round one episode in ten to another end"
+    assert same >= max(1, 9 * episodes // 10), "another machine may round one episode in ten to another end"
 
 
 def record(seed: int, success: bool) -> Record:

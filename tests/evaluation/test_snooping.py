@@ -15,7 +15,8 @@ from greenhouse_gym.agents import Problem
 from greenhouse_gym.envs import GreenhouseEnv, State, make_env
 from greenhouse_gym.envs.episodes import Episode, EpisodeSampler
 from greenhouse_gym.envs.simulation import Simulation
-from greenhouse_gym.envs.worlds import World, Worlds
+from greenhouse_gym.envs.world import World
+from greenhouse_gym.envs.worlds import Worlds
 from greenhouse_gym.evaluation import evaluate
 from greenhouse_gym.evaluation.leaderboard import TRACKS
 from greenhouse_gym.robots import Robot, get_robot

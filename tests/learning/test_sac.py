@@ -19,7 +19,7 @@ from greenhouse_gym.learning import load_into
 from greenhouse_gym.learning.sac import SacSettings, load_sac, make_sac, train_sac
 from greenhouse_gym.learning.sb3 import Sb3Agent
 from greenhouse_gym.learning.training_files import read_curve
-from greenhouse_gym.learning.training_run import Validation
+from greenhouse_gym.learning.training_report import Validation
 from greenhouse_gym.scene import SceneBank
 
 NEVER = 10**9

@@ -83,7 +83,7 @@ def test_unknown_planners_list_the_choices() -> None:
 def test_every_planner_answers(scene: Scene, name: str) -> None:
     """Whatever the planner does, there is a status; what counts as a path was proven free by the caller."""
     goals = goal_configurations(scene, 0, count=10)
-    result = plan(scene, 0, planner=name, time_limit=0.4, goals=goals, seed=1)
+    result = plan(scene, 0, planner=name, time_limit=0.2, goals=goals, seed=1)
     assert result.status in ("solved", "approximate", "no_solution", "invalid")
     assert (result.path is not None) == (result.status == "solved")
     if result.path is not None:

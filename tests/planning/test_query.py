@@ -14,8 +14,8 @@ from greenhouse_gym.planning import (
     PlanResult,
     goal_configurations,
     plan,
+    planner_run,
     planning_model,
-    query,
 )
 from greenhouse_gym.planning.worker import PlannerAnswer
 from greenhouse_gym.robots import get_robot
@@ -246,7 +246,7 @@ def test_every_path_of_the_worker_is_verified(
     else:
         path = np.insert(path, 1, np.nan, axis=0)
     answer = PlannerAnswer("solved", path, path, 0.1, 0.0, 10, 5, np.empty((0, 2)))
-    monkeypatch.setattr(query.shared_worker(), "call", lambda *_: answer)
+    monkeypatch.setattr(planner_run.shared_worker(), "call", lambda *_: answer)
     result: PlanResult = plan(scene, 7, planner="RRT")
     assert result.status == "invalid"
     assert result.path is None
@@ -254,5 +254,5 @@ def test_every_path_of_the_worker_is_verified(
 
 
 def test_a_budget_of_checks_limits_the_time_of_planners_that_hardly_check() -> None:
-    assert query._seconds(None, 1_000) <= 10.0
-    assert query._seconds(None, 1_000_000) >= 100.0
+    assert planner_run.search_seconds(None, 1_000) <= 10.0
+    assert planner_run.search_seconds(None, 1_000_000) >= 100.0

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from greenhouse_gym.errors import MissingDependencyError
-from greenhouse_gym.planning import PLANNERS, goal_configurations, plan, query
+from greenhouse_gym.planning import PLANNERS, goal_configurations, plan, planner_run
 from greenhouse_gym.planning.worker import (
     Worker,
     WorkerCrashedError,
@@ -25,8 +25,9 @@ from greenhouse_gym.scene import Scene
 OF_OMPL = sum(info.solve is None for info in PLANNERS.values())
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def worker() -> Iterator[Worker]:
+    """One worker for all tests, since a process takes seconds to start; each test leaves it ready for calls."""
     worker = Worker()
     yield worker
     worker.close()
@@ -96,7 +97,7 @@ def test_killed_from_outside_while_planning(scene: Scene) -> None:
 def test_a_planner_that_ignores_its_limit_times_out(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     shared_worker().call("sleep", 0.0, 30.0)
     with monkeypatch.context() as patched:
-        patched.setattr(query, "GRACE", -19.5)  # an optimizing planner uses all of its 20 s
+        patched.setattr(planner_run, "GRACE", -19.5)  # an optimizing planner uses all of its 20 s
         result = plan(scene, 0, planner="RRTstar", time_limit=20.0)
     assert result.status == "timeout"
     assert result.path is None
@@ -143,10 +144,10 @@ def test_ctrl_c_reaches_the_caller_and_the_next_call_works(worker: Worker) -> No
     assert len(worker.call("planners", None, 30.0)) == OF_OMPL
 
 
-def test_without_ompl_the_extra_is_named(worker: Worker, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_ompl_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("greenhouse_gym.planning.worker.find_spec", lambda name: None)
     with pytest.raises(MissingDependencyError, match=r"greenhouse-gym\[plan\]"):
-        worker.call("planners", None, 30.0)
+        Worker().call("planners", None, 30.0)
 
 
 def test_a_dead_process_has_an_error_of_its_own(worker: Worker) -> None:
@@ -218,13 +219,15 @@ def test_the_process_dies_with_a_killed_caller() -> None:
     pytest.fail("the planning process outlives its caller")
 
 
-def test_the_process_outlives_the_thread_that_first_planned(worker: Worker) -> None:
+def test_the_process_outlives_the_thread_that_first_planned() -> None:
+    worker = Worker()
     thread = threading.Thread(target=worker.call, args=("planners", None, 60.0))
     thread.start()
     thread.join()
     first = worker.pid
     worker.call("planners", None, 60.0)
     assert worker.pid == first
+    worker.close()
 
 
 def test_planning_is_imported_where_no_limits_of_memory_exist() -> None:

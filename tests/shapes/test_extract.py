@@ -11,7 +11,7 @@ from greenhouse_gym.accuracy import match_tomatoes, visible_tomatoes
 from greenhouse_gym.crops import Palette
 from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.geometry import Ellipsoid, Sphere, distance_to_shapes, invert, transform
+from greenhouse_gym.geometry import Box, Ellipsoid, Sphere, distance_to_shapes, invert, transform
 from greenhouse_gym.shapes import RowShapes, ShapeSettings, ShapeWarning, extract_shapes
 from greenhouse_gym.shapes.clutter.boxes import bounding_box
 from greenhouse_gym.shapes.evidence import nearest_shapes
@@ -150,7 +150,7 @@ def test_every_point_is_evidence_for_the_nearest_shape() -> None:
 def test_the_nearest_shape_has_the_smallest_distance(seed: int) -> None:
     random = np.random.default_rng(seed)
     points = random.uniform(-0.3, 0.3, (500, 3))
-    boxes = [bounding_box(random.uniform(-0.1, 0.1, (9, 3)) + random.uniform(-0.2, 0.2, 3)) for _ in range(5)]
+    boxes = [Box(*bounding_box(random.uniform(-0.1, 0.1, (9, 3)) + random.uniform(-0.2, 0.2, 3))) for _ in range(5)]
     balls = [Sphere(random.uniform(-0.2, 0.2, 3), 0.05) for _ in range(5)]
     owner, residual = nearest_shapes(points, [*boxes, *balls], 0.05)
     distance = distance_to_shapes(points, [*boxes, *balls])

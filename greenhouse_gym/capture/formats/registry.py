@@ -28,7 +28,7 @@ ENTRY_POINTS = "greenhouse_gym.formats"
 
 
 class RecordingFormat(Protocol):
-    """Reader of recordings of one kind; a module with these names is one."""
+    """Protocol of a module that reads one kind of recording."""
 
     @property
     def name(self) -> str:

@@ -25,7 +25,7 @@ from greenhouse_gym.scene.occupancy import FREE, OCCUPIED, UNKNOWN
 
 if TYPE_CHECKING:
     from greenhouse_gym.envs.views import View
-    from greenhouse_gym.envs.worlds import World
+    from greenhouse_gym.envs.world import World
 
 RIPE = 3
 """State of a cell with the skin of ripe fruit, besides `UNKNOWN`, `FREE` and `OCCUPIED`."""

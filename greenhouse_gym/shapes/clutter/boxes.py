@@ -40,7 +40,7 @@ _SPLITS = (0.3, 0.4, 0.5, 0.6, 0.7)  # positions along its axes at which a box m
 Rows = npt.NDArray[np.int64]
 
 
-class _Bounds(NamedTuple):
+class BoxBounds(NamedTuple):
     """Center (3,), half extents (3,) and rotation (3, 3) of a box; thousands are tried, so none is validated yet."""
 
     center: Array
@@ -62,7 +62,7 @@ class _Piece(NamedTuple):
     """
 
     rows: Rows
-    bounds: _Bounds
+    bounds: BoxBounds
     empty_area: float
     empty_fraction: float
 
@@ -180,7 +180,7 @@ def _cut_excluded(cells: _Cells, piece: _Piece, settings: ShapeSettings, cuts: i
     return parts if remaining < _MAX_REMAINING * len(inside) else [piece]
 
 
-def _near_excluded(cells: _Cells, box: _Bounds) -> Array:
+def _near_excluded(cells: _Cells, box: BoxBounds) -> Array:
     """Return the excluded points (k, 3) within a box's bounding sphere, in the box's frame."""
     if not cells.excluded.n:
         return np.zeros((0, 3))
@@ -188,7 +188,7 @@ def _near_excluded(cells: _Cells, box: _Bounds) -> Array:
     return np.asarray((cells.excluded.data[near] - box.center) @ box.rotation)
 
 
-def _excluded_inside(cells: _Cells, box: _Bounds) -> Array:
+def _excluded_inside(cells: _Cells, box: BoxBounds) -> Array:
     """Return the excluded points (k, 3) well inside a box, in its frame."""
     local = _near_excluded(cells, box)
     return np.asarray(local[(np.abs(local) < box.half_extents - _DEPTH).all(axis=1)])
@@ -218,7 +218,7 @@ def _empty_area(parts: tuple[_Piece, _Piece]) -> float:
 
 def _piece(cells: _Cells, rows: Rows, settings: ShapeSettings) -> _Piece:
     points = cells.centers[rows]
-    box = _bounds(points)
+    box = bounding_box(points)
     surface, areas = _sample_surface(box, settings.clutter_margin)
     empty = cKDTree(points).query(surface, distance_upper_bound=settings.clutter_margin)[0] == np.inf
     empty_area, area = float(areas[empty].sum()), float(areas.sum())
@@ -227,7 +227,7 @@ def _piece(cells: _Cells, rows: Rows, settings: ShapeSettings) -> _Piece:
     return _Piece(rows, box, empty_area, empty_area / area)
 
 
-def _sample_surface(box: _Bounds, spacing: float) -> tuple[Array, Array]:
+def _sample_surface(box: BoxBounds, spacing: float) -> tuple[Array, Array]:
     """Return points (n, 3) evenly over a box's faces, about ``spacing`` apart, and the area (n,) of each."""
     points, areas = [], []
     counts = np.clip(np.ceil(2 * box.half_extents / spacing), 1, 12).astype(int)
@@ -242,12 +242,8 @@ def _sample_surface(box: _Bounds, spacing: float) -> tuple[Array, Array]:
     return box.center + np.concatenate(points) @ box.rotation.T, np.concatenate(areas)
 
 
-def bounding_box(points: Array) -> Box:
+def bounding_box(points: Array) -> BoxBounds:
     """Return a box along the principal axes that contains all points (n, 3)."""
-    return Box(*_bounds(points))
-
-
-def _bounds(points: Array) -> _Bounds:
     middle = points.mean(axis=0)
     offset = points - middle
     axes = np.linalg.eigh(offset.T @ offset)[1]
@@ -255,4 +251,4 @@ def _bounds(points: Array) -> _Bounds:
         axes[:, 0] *= -1
     local = offset @ axes
     low, high = local.min(axis=0), local.max(axis=0)
-    return _Bounds(middle + axes @ ((low + high) / 2), np.maximum((high - low) / 2, _MIN_HALF_EXTENT), axes)
+    return BoxBounds(middle + axes @ ((low + high) / 2), np.maximum((high - low) / 2, _MIN_HALF_EXTENT), axes)

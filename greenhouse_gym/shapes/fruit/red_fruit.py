@@ -97,7 +97,7 @@ class _Balls(NamedTuple):
         return np.asarray(self.gain * np.exp(-(1 - self.skin) * unlike))
 
     def confidence(self, noise: float) -> Array:
-        """Return the fraction (k,) of the area seen that is skin, if as much as noise may fake counts against it."""
+        """Return the fraction (k,) of skin in the visible area, counting the area that noise could fake against it."""
         area, faked = np.pi * self.radii**2, np.pi * (_NOISE_REACH * noise) ** 2
         return np.asarray(area * self.skin / (area * (self.skin + self.other) + faked))
 

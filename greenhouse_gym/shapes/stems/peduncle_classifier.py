@@ -1,4 +1,4 @@
-"""Probability that candidate points lie on peduncles: of each point by itself, then among those around it.
+"""Probability that candidate points lie on peduncles, first of each point by itself, then with its neighbors.
 
 The second network also sees the first one's output in the neighborhood (auto-context; Tu and Bai, 2010): peduncles are
 lines of probable points, while edges of leaves are probable only here and there.

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from shape_clouds import half_sphere, plane, together
 
-from greenhouse_gym.geometry import distance_to_shapes
+from greenhouse_gym.geometry import Box, distance_to_shapes
 from greenhouse_gym.shapes import FINE_SHAPES, ShapeSettings, extract_shapes
 from greenhouse_gym.shapes.clutter.boxes import COVERED, bounding_box, box_budget, cover_with_boxes
 from greenhouse_gym.shapes.clutter.patches import CELL
@@ -126,5 +126,5 @@ def test_two_leaves_that_cross_get_a_thin_box_each() -> None:
 @pytest.mark.parametrize("count", [1, 2, 3, 50])
 def test_a_bounding_box_holds_its_points(count: int) -> None:
     points = np.random.default_rng(count).uniform(-0.1, 0.1, (count, 3))
-    assert distance_to_shapes(points, [bounding_box(points)]).max() < 1e-9
-    assert distance_to_shapes(np.repeat(points[:1], 4, axis=0), [bounding_box(points)]).max() < 1e-9
+    assert distance_to_shapes(points, [Box(*bounding_box(points))]).max() < 1e-9
+    assert distance_to_shapes(np.repeat(points[:1], 4, axis=0), [Box(*bounding_box(points))]).max() < 1e-9

@@ -1,0 +1,164 @@
+"""World: a compiled scene that is copied into the private model of a simulation at each reset."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import mujoco
+import numpy as np
+
+from greenhouse_gym.envs.contacts import Groups, geom_groups
+from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.geometry import Array
+from greenhouse_gym.motion.leaf_contacts import LeafContacts
+from greenhouse_gym.motion.roadmap import SceneRoadmaps
+from greenhouse_gym.plants.slots import Planted
+from greenhouse_gym.plants.topology import Topology, topology_of
+from greenhouse_gym.scene import CompiledScene, Scene, SceneBank, compile_scene
+from greenhouse_gym.scene.geom_order import first_world_geom
+from greenhouse_gym.scene.mjcf import DEFAULT_CAPACITY, MAX_CAPACITY
+from greenhouse_gym.scene.truth import known_scene
+
+_ROUND = 100
+
+_GEOM_FIELDS = (
+    "geom_type", "geom_contype", "geom_conaffinity", "geom_size", "geom_pos", "geom_quat", "geom_aabb", "geom_rbound",
+    "geom_sameframe", "geom_rgba", "geom_margin", "geom_gap",
+)  # fmt: skip
+_SCENE_FIELDS = (
+    # the bounding-volume tree belongs to the geoms: with a stale tree MuJoCo misses contacts
+    "body_pos", "body_quat", "body_sameframe", "bvh_depth", "bvh_child", "bvh_aabb",
+)  # fmt: skip
+
+
+def capacity_of(bank: SceneBank, physics: str) -> int:
+    """Return the number of obstacle slots a model must reserve so that every scene of a bank fits.
+
+    True rows need more than reconstructed scenes. Numbers are rounded up so that banks of similar size share models. A
+    bank that does not list the sizes of its scenes gets the default; loading a larger scene then raises an error.
+    """
+    largest = bank.largest_truth() if physics == "truth" else bank.largest_scene()
+    return capacity_for(largest or 0)
+
+
+def capacity_for(count: int) -> int:
+    """Return the number of obstacle slots for a scene with ``count`` shapes, as in `capacity_of`.
+
+    It never exceeds the maximum; loading a larger scene raises an error.
+    """
+    return min(max(DEFAULT_CAPACITY, -_ROUND * (-count // _ROUND)), MAX_CAPACITY)
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """Scene that is ready to be simulated and observed.
+
+    Attributes:
+        scene: The scene of the bank.
+        compiled: The simulated scene: the same, or the true row behind it.
+        frame: (5,) position of the arm's base in the scene, metres, and cosine and sine of its heading.
+        tomatoes: (t, 4) centers in the base frame and radii of the scene's tomatoes, metres, float32.
+        field: Slot of the scene's distance field in the store.
+        goals: (t, 4) centers in the base frame and radii of the simulated counterparts of these tomatoes.
+        bodies: (t,) indices of these counterparts in the simulated scene.
+        leaves: "rigid" or "brush", see `Worlds`.
+        before: World before the plants moved, which shares its distance field; None if they did not move.
+        planted: Organs in the slots of the model; None if none give way.
+    """
+
+    scene: Scene
+    compiled: CompiledScene
+    frame: Array
+    tomatoes: np.ndarray[tuple[int, int], np.dtype[np.float32]]
+    field: int
+    goals: Array
+    bodies: np.ndarray[tuple[int], np.dtype[np.int64]]
+    leaves: str = "rigid"
+    before: World | None = None
+    planted: Planted | None = None
+
+    def check_fits(self, model: mujoco.MjModel) -> None:
+        """Check that a model has the same layout.
+
+        Raises:
+            InvalidValueError: It was compiled with another kind of stand.
+        """
+        source = self.compiled.model
+        if (source.ngeom, source.nbvh) != (model.ngeom, model.nbvh):
+            raise InvalidValueError(
+                f"scene {self.scene.name!r} compiles to {source.ngeom} geoms, others to {model.ngeom}: "
+                "all scenes need the same kind of stand"
+            )
+
+    @cached_property
+    def known(self) -> Scene:
+        """Scene as agents know it."""
+        return known_scene(self.scene) if self.before is None else self.before.known
+
+    @cached_property
+    def roadmaps(self) -> SceneRoadmaps:
+        """Roadmaps of the scene as agents know it; a world with moved plants shares those of the world before."""
+        if self.before is not None:
+            return self.before.roadmaps
+        compiled = compile_scene(self.scene, self.compiled.robot, capacity_for(self.scene.count))
+        return SceneRoadmaps(compiled, self.leaves)
+
+    @cached_property
+    def leaf_contacts(self) -> LeafContacts:
+        """Finder of the leaves of the simulated scene that the arm touches."""
+        return LeafContacts(self.compiled)
+
+    @cached_property
+    def rigid(self) -> CompiledScene:
+        """The simulated scene without slots, all its organs where they were at the start."""
+        if self.planted is None:
+            return self.compiled
+        scene = self.compiled.scene
+        return compile_scene(scene, self.compiled.robot, capacity_for(scene.count))
+
+    @cached_property
+    def topology(self) -> Topology:
+        """Organs of the simulated scene."""
+        return topology_of(self.compiled.scene, self.scene.name)
+
+    @cached_property
+    def used(self) -> int:
+        """Number of world geoms before the parked ones, which are the same in all worlds."""
+        return int(self.compiled.obstacle_geoms.start) + self.compiled.scene.count
+
+    @cached_property
+    def groups(self) -> Groups:
+        """(geoms,) contact groups of the compiled geoms, see `geom_groups`."""
+        return geom_groups(self.compiled)
+
+    def load(self, model: mujoco.MjModel, targets: Sequence[int], last: World | None = None) -> None:
+        """Copy this world into a model and let the cup touch the targets.
+
+        Args:
+            model: Compiled with the same robot and capacity; its geoms in either order (`put_arm_first`).
+            targets: Indices of the tomatoes that the cup may touch.
+            last: World that the model holds, if known; geoms that are parked in both are not copied.
+        """
+        source = self.compiled.model
+        first, count = first_world_geom(model), int(source.body_geomnum[0])
+        if last is not None:
+            count = max(self.used, last.used)
+        for name in _GEOM_FIELDS:
+            getattr(model, name)[first : first + count] = getattr(source, name)[:count]
+        for name in _SCENE_FIELDS:
+            getattr(model, name)[:] = getattr(source, name)
+        nodes = slice(source.body_bvhadr[0], source.body_bvhadr[0] + source.body_bvhnum[0])
+        ids = source.bvh_nodeid[nodes]
+        model.bvh_nodeid[nodes] = np.where(ids >= 0, ids + first, ids)
+        for target in targets:
+            self.compiled.allow_cup_on(model, int(self.bodies[target]))
+
+    def goal(self, target: int) -> tuple[Array, float]:
+        """Return the center (3,) in the base frame and the radius of the simulated target, metres."""
+        return self.goals[target, :3], float(self.goals[target, 3])
+
+    def goal_in_scene(self, target: int) -> Array:
+        """Return the center (3,) of the simulated target in the scene, metres."""
+        return self.compiled.scene.tomatoes[int(self.bodies[target])].center
