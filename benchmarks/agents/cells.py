@@ -79,9 +79,16 @@ def outcomes_in(agent: Agent, cell: str, episodes: int, split: str = "test") -> 
 
 
 def where(cell: str, split: str) -> dict[str, Any]:
-    """Return the keywords of a cell's environment."""
+    """Return the keywords of a cell's environment; in the training split, it has the rows that are left out."""
     source, difficulty = CELLS[cell]
-    return {"bank": SceneBank.open("default").select(split=split, source=source), "difficulty": difficulty}
+    rows = left_out_rows() if split == "train" else None
+    return {"bank": SceneBank.open("default").select(split=split, source=source, row=rows), "difficulty": difficulty}
+
+
+def left_out_rows() -> list[str]:
+    """Return own rows of the training split for choices that must not be made on test rows, left out of trainings."""
+    own = SceneBank.open("default").select(split="train", source="own")
+    return sorted({entry.row for entry in own.manifest.scenes})[::5]
 
 
 @cache

@@ -2,10 +2,11 @@
 
 python -m benchmarks.agents.first_lesson --seeds 0 1 2
 python -m benchmarks.agents.first_lesson --action joint --split train --name "joint actions"
+python -m benchmarks.agents.first_lesson --difficulty easy medium hard --falling --name "all targets, falling rate"
 
-Trains by Stable-Baselines3's PPO on easy targets of the training split, on the Warp kernels. With ``--split train``,
-three own rows are left out and played on, and so are the Helios rows of the validation split, so that choices are not
-made on test rows. A training takes about four minutes of processor time.
+Trains by Stable-Baselines3's PPO on the training split, on the Warp kernels. With ``--split train``, three own rows are
+left out and played on, and so are the Helios rows of the validation split, so that choices are not made on test rows.
+A training takes about four minutes of processor time.
 """
 
 from __future__ import annotations
@@ -19,17 +20,16 @@ import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 
-from benchmarks.agents.policies import outcomes
-from benchmarks.common import RESULTS, parser, read_entry, write_entry
-from greenhouse_gym.agents import ShieldedAgent
+from benchmarks.agents.cells import left_out_rows, outcomes_in
+from benchmarks.common import RESULTS, kept_or_temporary, parser, read_entry, write_entry
+from greenhouse_gym.agents import PolicyAgent
 from greenhouse_gym.envs import DenseReward
-from greenhouse_gym.evaluation import evaluate
 from greenhouse_gym.learning.policies import save_policy
-from greenhouse_gym.learning.sb3 import Sb3Agent, make_sb3_vec_env
+from greenhouse_gym.learning.sb3 import make_sb3_vec_env
 from greenhouse_gym.scene import SceneBank
 
-EVALUATED = (("own", "easy"), ("own", "medium"), ("helios", "easy"))
-"""Sources and difficulties of the evaluated episodes."""
+EVALUATED = ("own, easy", "own, medium", "helios, easy")
+"""Cells of the evaluated episodes."""
 
 STEPS = 5_000_000
 """Environment steps of a training."""
@@ -43,44 +43,36 @@ def main() -> None:
     command.add_argument("--seeds", type=int, nargs="+", default=[0])
     command.add_argument("--steps", type=int, default=STEPS)
     command.add_argument("--sources", nargs="+", default=["own", "helios"], help="of the rows to train on")
+    command.add_argument("--difficulty", nargs="+", default=["easy"], help="of the targets to train on")
     command.add_argument("--action", default="tip_velocity")
+    command.add_argument("--falling", action="store_true", help="let the learning rate fall linearly to zero")
     command.add_argument("--start", default="ready")
     command.add_argument("--collision", type=float, default=DenseReward.collision, help="reward for a collision")
-    command.add_argument("--falling", action="store_true", help="let the learning rate fall linearly to zero")
     command.add_argument("--step-limit", type=int, default=200)
     command.add_argument("--split", choices=("train", "test"), default="test", help="split of the rows to play on")
     command.add_argument("--episodes", type=int, default=500)
-    command.add_argument("--shielded", action="store_true", help="play behind the shield, too")
     command.add_argument("--policies", type=Path, help="folder for the policies, none by default")
     command.add_argument("--name", default="ten lines", help="of the entry in the file of results")
     a = command.parse_args()
     torch.set_num_threads(1)
     default = SceneBank.open("default")
-    own = default.select(split="train", source="own")
-    left_out = sorted({entry.row for entry in own.manifest.scenes})[::5] if a.split == "train" else []
     bank = default.select(split="train", source=a.sources)
+    left_out = left_out_rows() if a.split == "train" else []
     bank = bank.select(row={entry.row for entry in bank.manifest.scenes} - {*left_out})
-    world = {"start": a.start, "step_limit": a.step_limit}
+    world = {"difficulty": a.difficulty, "action": a.action, "start": a.start, "step_limit": a.step_limit}
     about = {
-        "sources": a.sources, "action": a.action, **world, "collision": a.collision, "split": a.split,
+        "sources": a.sources, **world, "collision": a.collision, "falling": a.falling, "split": a.split,
         "left_out": left_out, "bank_sha256": default.sha256,
     }  # fmt: skip
-    figures = about | {"seeds": {}} | read_entry(RESULT, a.name, about)
     for seed in a.seeds:
-        model, entry = trained(bank, a.steps, seed, a.action, DenseReward(collision=a.collision), world, a.falling)
-        if a.policies:
-            save_policy(model, a.policies / f"{a.name.replace(' ', '-')}-{seed}")
-        policy = Sb3Agent(model)
-        for agent in (policy, ShieldedAgent(policy)) if a.shielded else (policy,):
-            for source, difficulty in EVALUATED:
-                where = {"row": left_out} if left_out and source == "own" else {"source": source}
-                split = a.split if source == "own" or a.split == "test" else "validation"
-                chosen = default.select(split=split, **where)
-                options = {"bank": chosen, "difficulty": difficulty, "num_envs": 64, "threads": 1, **world}
-                evaluation = evaluate(agent, split, a.episodes, 20_000, **options)
-                kind = f"{'alone' if agent is policy else 'shielded'}, {source}, {difficulty}"
-                entry[kind] = outcomes(evaluation.records)
-                print(seed, kind, entry[kind], flush=True)
+        model, entry = trained(bank, a.steps, seed, a.falling, reward=DenseReward(collision=a.collision), **world)
+        with kept_or_temporary(a.policies) as folder:
+            agent = PolicyAgent.load(save_policy(model, folder / f"{a.name.replace(' ', '-')}-{seed}"))
+        for cell in EVALUATED:
+            split = "validation" if left_out and cell.startswith("helios") else a.split
+            entry[f"alone, {cell}"] = outcomes_in(agent, cell, a.episodes, split)
+            print(seed, cell, entry[f"alone, {cell}"], flush=True)
+        figures = about | {"seeds": {}} | read_entry(RESULT, a.name, about)
         figures["seeds"][str(seed)] = entry
         write_entry(RESULT, a.name, figures)
 
@@ -103,17 +95,15 @@ class Curve(BaseCallback):  # type: ignore[misc]
         self.lines.append([self.num_timesteps, round(time.process_time() - self.began, 1), round(success, 3)])
 
 
-def trained(
-    bank: SceneBank, steps: int, seed: int, action: str, reward: DenseReward, world: dict[str, Any], falling: bool
-) -> tuple[PPO, dict[str, Any]]:
+def trained(bank: SceneBank, steps: int, seed: int, falling: bool, **world: Any) -> tuple[PPO, dict[str, Any]]:
     """Train as the ten lines do; return the model and its curve of steps, processor seconds and successes."""
-    options = {"difficulty": "easy", "action": action, "reward": reward, **world}
-    env = make_sb3_vec_env(512, backend="warp", bank=bank, seed=seed, **options)
+    curve = Curve()
+    env = make_sb3_vec_env(512, backend="warp", bank=bank, seed=seed, **world)
     rate: Any = (lambda left: 1e-3 * left) if falling else 1e-3
     model = PPO("MlpPolicy", env, n_steps=32, batch_size=4096, n_epochs=5, learning_rate=rate, seed=seed, device="cpu")
-    curve = Curve()
     model.learn(steps, callback=curve)
-    return model, {"steps": model.num_timesteps, "curve": curve.lines}
+    seconds = round(time.process_time() - curve.began, 1)
+    return model, {"steps": model.num_timesteps, "processor_seconds": seconds, "curve": curve.lines}
 
 
 if __name__ == "__main__":

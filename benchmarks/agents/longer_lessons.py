@@ -24,6 +24,7 @@ import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 
+from benchmarks.agents.cells import left_out_rows
 from benchmarks.common import RESULTS, parser, write_results
 from greenhouse_gym.envs import DenseReward
 from greenhouse_gym.evaluation import evaluate
@@ -127,9 +128,7 @@ def measured(lesson: Lesson, seconds: float, episodes: int) -> dict[str, Any]:
     torch.set_num_threads(1)
     bank = SceneBank.open("default")
     training = bank.select(split="train", source="own" if lesson.own else None)
-    left_out = sorted({entry.row for entry in bank.manifest.scenes if (entry.split, entry.source) == ("train", "own")})[
-        ::5
-    ]
+    left_out = left_out_rows()
     rows = sorted({entry.row for entry in training.manifest.scenes} - set(left_out))
     world = {"action": lesson.action, "reward": DenseReward(collision=lesson.collision), **lesson.world}
     env = make_sb3_vec_env(
