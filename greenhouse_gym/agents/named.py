@@ -14,7 +14,7 @@ from greenhouse_gym.agents.harvester import OracleHarvester
 from greenhouse_gym.agents.hybrid import HybridAgent
 from greenhouse_gym.agents.looking import FixedViewsAgent, NextBestViewAgent, RandomViewsAgent
 from greenhouse_gym.agents.planner_agent import PlannerAgent
-from greenhouse_gym.agents.policy import Policy, description_path
+from greenhouse_gym.agents.policy import description_path
 from greenhouse_gym.agents.policy_agent import PolicyAgent, shipped_policies
 from greenhouse_gym.agents.scan_harvester import ScanHarvester
 from greenhouse_gym.agents.shield import ShieldedAgent
@@ -83,7 +83,7 @@ def make_agent(name: str) -> Agent:
         return PolicyAgent.load(name)
     if training := _training(Path(name)):
         if description_path(training / "policy").is_file():
-            return PolicyAgent(Policy.load(training / "policy"), training.resolve().name)
+            return PolicyAgent.load(training)
         # by name, because that package imports this one
         load: Callable[[Path], Agent] = resolve_name("greenhouse_gym.learning:TrainedAgent")
         return load(training)

@@ -41,17 +41,20 @@ class PolicyAgent(NamedAgent):
 
     @classmethod
     def load(cls, policy: str | Path) -> PolicyAgent:
-        """Load a shipped policy by name, or any policy by its path.
+        """Load a shipped policy by name, or any policy by its path or the folder of its training.
 
         Raises:
             UnknownNameError: Neither the name of a shipped policy nor a file.
             FileFormatError: Its files are missing or damaged.
         """
         shipped = shipped_policies()
-        path = shipped.get(str(policy)) or description_path(policy)
-        if not path.is_file():
-            raise UnknownNameError("policy", str(policy), [*shipped, "(or the path of a policy's files)"])
-        return cls(Policy.load(path), name=path.stem)
+        path, training = shipped.get(str(policy)) or description_path(policy), Path(policy)
+        if path.is_file():
+            return cls(Policy.load(path), name=path.stem)
+        if description_path(training / "policy").is_file():
+            return cls(Policy.load(training / "policy"), name=training.resolve().name)
+        choices = [*shipped, "(or the path of a policy's files, or a training's folder)"]
+        raise UnknownNameError("policy", str(policy), choices)
 
     def reset(self, problem: Problem) -> None:
         """Check the arm; the network has no memory.

@@ -26,6 +26,7 @@ def test_the_folder_of_a_training_without_a_checkpoint(tmp_path: Path) -> None:
     PolicyAgent.load("ppo-ur5e").policy.save(tmp_path / "first" / "policy")
     agent = make_agent(str(tmp_path / "first"))
     assert (type(agent), agent.name) == (PolicyAgent, "first")
+    assert PolicyAgent.load(tmp_path / "first").name == "first"
     with pytest.raises(UnknownNameError):
         make_agent(str(tmp_path / "first" / "checkpoint.safetensors"))
 
