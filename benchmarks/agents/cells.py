@@ -25,14 +25,14 @@ from benchmarks.common import RESULTS, parser, read_entry, write_entry
 from greenhouse_gym.agents import PolicyAgent, ShieldedAgent
 from greenhouse_gym.agents.agent import Agent
 from greenhouse_gym.agents.policy_agent import shipped_policies
-from greenhouse_gym.envs import make_vec
+from greenhouse_gym.envs import EnvSettings, make_vec
 from greenhouse_gym.evaluation import evaluate
-from greenhouse_gym.scene import DIFFICULTIES, SceneBank
+from greenhouse_gym.scene import SceneBank
 
 CELLS = {
     "own, easy": ("own", "easy"),
     "own, medium": ("own", "medium"),
-    "own, all": ("own", DIFFICULTIES),
+    "own, all": ("own", EnvSettings().difficulty),
     "helios, easy": ("helios", "easy"),
     "helios, medium": ("helios", "medium"),
 }
