@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
-from greenhouse_gym.agents.agent import Agent, knows_truth
+from greenhouse_gym.agents.agent import Agent, knows_truth, own_options
 from greenhouse_gym.agents.named import agent_of
 from greenhouse_gym.common.own_code import describe, printable
 from greenhouse_gym.errors import GreenhouseError
@@ -29,7 +30,7 @@ class AskedAgent:
     Attributes:
         agent: The agent.
         name: Its name.
-        env_options: Keywords of the environment that it needs.
+        env_options: Keywords that it chooses for the environment.
         knows_truth: True if it declares that it knows the truth.
         acts_on_many: True if it has a method ``act_many``.
     """
@@ -41,8 +42,12 @@ class AskedAgent:
     acts_on_many: bool
 
     @classmethod
-    def of(cls, agent: Agent | str) -> AskedAgent:
+    def of(cls, agent: Agent | str, options: Mapping[str, Any] = MappingProxyType({})) -> AskedAgent:
         """Ask an agent, or an agent by name.
+
+        Args:
+            agent: The agent.
+            options: Keywords of the environment that the user chooses.
 
         Raises:
             InvalidValueError: It is not an agent.
@@ -51,8 +56,8 @@ class AskedAgent:
         agent = agent_of(agent)
 
         def asked() -> AskedAgent:
-            name, options = printable(str.__str__(agent.name)), dict(agent.env_options)  # of subclasses, too
-            return cls(agent, name, options, knows_truth(agent), hasattr(agent, "act_many"))
+            name, own = printable(str.__str__(agent.name)), own_options(agent, options)  # of subclasses, too
+            return cls(agent, name, own, knows_truth(agent), hasattr(agent, "act_many"))
 
         try:
             return Deadline().call(asked)

@@ -24,7 +24,7 @@ from greenhouse_gym.rendering.cameras import MAX_RANGE, DepthCamera, scene_from_
 from greenhouse_gym.scene import SceneBank, Shapes
 
 SCENE = "own-cluster-2000-w00-02"
-OPTIONS = {"bank": "mini", "task": "harvest", "plants": "compliant", "physics": "truth", "scene": SCENE}
+OPTIONS = {"bank": "mini", "scene": SCENE, **OracleHarvester.env_options}
 
 
 @pytest.fixture(scope="module")

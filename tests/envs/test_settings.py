@@ -97,7 +97,7 @@ def test_joints_move_as_far_per_second_at_every_rate(rate: int) -> None:
     placed = scene_of([Tomato(Sphere([0.0, 5.0, 1.0], 0.03), truss=0)])
     ends = []
     for chosen in (20, rate):
-        env = make_for(placed, rate=chosen, step_limit=1000)
+        env = make_for(placed, rate=chosen, step_limit=1000, action="joint")
         assert env.metadata["render_fps"] == chosen
         start = env.reset(options={"scene": placed})[0][:6]
         action = np.array([0.5, 0, 0, 0, 0, 0])
