@@ -137,7 +137,7 @@ class Run:
 
         return gymnasium.make_vec(
             "TomatoReach-v0", num_envs=count, backend="warp", device=self.device, arrays="torch",
-            **{"bank": str(self.folder / "bank")} | settings,
+            **{"bank": str(self.folder / "bank")} | JOINT | settings,
         )  # fmt: skip
 
     def synchronize(self) -> None:
