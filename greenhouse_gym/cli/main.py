@@ -15,9 +15,7 @@ from greenhouse_gym import __version__
 from greenhouse_gym.cli import (
     agent_commands,
     bank_commands,
-    cloud_commands,
     comparison_commands,
-    live_recording,
     planning_commands,
     reconstruction_commands,
     recording_commands,
@@ -47,12 +45,12 @@ _COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
     },
     "From recordings to scenes": {
         "simulate": recording_commands.simulate,
-        "record": live_recording.record,
+        "record": recording_commands.record,
         "import": recording_commands.import_,
         "formats": recording_commands.formats,
         "calibrate": recording_commands.calibrate,
         "reconstruct": reconstruction_commands.reconstruct,
-        "shapes": cloud_commands.shapes,
+        "shapes": reconstruction_commands.shapes,
         "build": reconstruction_commands.build,
     },
     "Banks and policies": {

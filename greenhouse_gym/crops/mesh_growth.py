@@ -14,9 +14,15 @@ from itertools import count
 import numpy as np
 
 from greenhouse_gym.crops.cultivars import Cultivar
-from greenhouse_gym.crops.foliage import SHOOT_LEAVES_PER_METRE, grow_frond, grow_shoot, leaf_palette
 from greenhouse_gym.crops.helios import Vine, grow_vine
-from greenhouse_gym.crops.mesh_trusses import TrussNode, grow_mesh_truss
+from greenhouse_gym.crops.mesh_organs import (
+    SHOOT_LEAVES_PER_METRE,
+    TrussNode,
+    grow_frond,
+    grow_mesh_truss,
+    grow_shoot,
+    leaf_palette,
+)
 from greenhouse_gym.crops.organs import Organ, stems_of, tube_organ
 from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.crops.plant_row import (

@@ -16,10 +16,9 @@ from greenhouse_gym.crops.parts import Stem
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.geometry import Array, Ellipsoid, Shape, Sphere, invert, pose, transform
 from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud, TriangleMesh
-from greenhouse_gym.reconstruction.foreground import black_out
+from greenhouse_gym.reconstruction.foreground import Shift, along, black_out, overlapping_parts
 from greenhouse_gym.reconstruction.occupancy_carving import carve
 from greenhouse_gym.reconstruction.pair_registration import register_pair
-from greenhouse_gym.reconstruction.silhouette_shift import Shift, along, overlapping_parts
 from greenhouse_gym.reconstruction.station_views import Calibration, CameraView, station_view
 from greenhouse_gym.rendering.picture_files import write_picture
 from greenhouse_gym.rendering.renderer import Image

@@ -14,10 +14,10 @@ from typer.testing import CliRunner
 
 from greenhouse_gym.build import bank_builder as build
 from greenhouse_gym.build.scans import RawCloud, Scan, extract_from_scan, open_scan, read_cloud, scanned_row
-from greenhouse_gym.build.scans import scan_row as row_module
+from greenhouse_gym.build.scans import scan as row_module
 from greenhouse_gym.build.scans.frame import guess_unit, guess_up
 from greenhouse_gym.build.scans.scan import fruit_hangs
-from greenhouse_gym.capture.fingerprint import fingerprint
+from greenhouse_gym.capture.recordings import fingerprint
 from greenhouse_gym.cli import app
 from greenhouse_gym.common.open3d_loader import open3d
 from greenhouse_gym.crops.parts import Stem, Tomato

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from greenhouse_gym.build.scans.cloud_formats.las_units import FOOT, SURVEY_FOOT
+from greenhouse_gym.build.scans.cloud_formats.las import FOOT, SURVEY_FOOT
 from greenhouse_gym.common.open3d_loader import open3d
 from greenhouse_gym.geometry import Array, pose
 

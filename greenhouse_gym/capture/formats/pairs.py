@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.capture.frames import RgbdFrame, size_text
-from greenhouse_gym.capture.rig import Intrinsics
+from greenhouse_gym.capture.rig import Intrinsics, RgbdFrame, size_text
 from greenhouse_gym.common.extras import needs
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.geometry import Array, transform

@@ -11,10 +11,9 @@ from functools import partial
 from pathlib import Path
 
 from greenhouse_gym.capture.formats.pairs import Pair
-from greenhouse_gym.capture.frames import RgbdFrame, Station
 from greenhouse_gym.capture.image_files import read_any_color, read_any_depth
 from greenhouse_gym.capture.recordings import Recording, read_frame
-from greenhouse_gym.capture.rig import Camera, Intrinsics, Rig
+from greenhouse_gym.capture.rig import Camera, Intrinsics, RgbdFrame, Rig, Station
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.geometry import Array, pose
 
