@@ -38,9 +38,8 @@ from greenhouse_gym.shapes.fruit.small_fruit import SmallSpheres, confident_smal
 from greenhouse_gym.shapes.fruit.sphere_features import COLOR_FEATURES, CONTEXT_FEATURES, SPHERE_FEATURES
 from greenhouse_gym.shapes.networks import Network
 from greenhouse_gym.shapes.stems import peduncle_features
-from greenhouse_gym.shapes.stems.peduncle_classifier import with_context
 from greenhouse_gym.shapes.stems.peduncle_features import PeduncleCandidates, peduncle_candidates
-from greenhouse_gym.shapes.stems.traced_peduncles import trace_peduncles
+from greenhouse_gym.shapes.stems.traced_peduncles import trace_peduncles, with_context
 from training.fitting import (
     FOLDS,
     Labeled,

@@ -18,10 +18,9 @@ from greenhouse_gym.shapes.input_checks import WarningLog, downsample, outside_d
 from greenhouse_gym.shapes.neighborhoods import mend_normals
 from greenhouse_gym.shapes.settings import ShapeSettings
 from greenhouse_gym.shapes.stems.main_stems import find_main_stems, find_strings
-from greenhouse_gym.shapes.stems.peduncle_classifier import peduncle_probability
 from greenhouse_gym.shapes.stems.peduncle_features import STEM_MARGIN, peduncle_candidates
 from greenhouse_gym.shapes.stems.pipes import find_pipes
-from greenhouse_gym.shapes.stems.traced_peduncles import trace_peduncles
+from greenhouse_gym.shapes.stems.traced_peduncles import peduncle_probability, trace_peduncles
 from greenhouse_gym.shapes.surface_cloud import (
     SurfaceCloud,
     colorful_mask,

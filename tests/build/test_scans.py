@@ -321,8 +321,8 @@ def test_organized_clouds_and_rows_that_are_not_finite(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("suffix", WRITERS)
 def test_of_too_many_points_some_are_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str) -> None:
-    monkeypatch.setattr("greenhouse_gym.build.scans.cloud_formats.parts.MAX_POINTS", 100)
-    monkeypatch.setattr("greenhouse_gym.build.scans.cloud_formats.parts._PIECE", 70)
+    monkeypatch.setattr("greenhouse_gym.build.scans.cloud_formats.columns.MAX_POINTS", 100)
+    monkeypatch.setattr("greenhouse_gym.build.scans.cloud_formats.columns._PIECE", 70)
     random = np.random.default_rng(0)
     points, colors, normals = random.random((250, 3)), random.random((250, 3)), random.random((250, 3))
     WRITERS[suffix](tmp_path / f"c{suffix}", points, colors, normals)

@@ -12,8 +12,8 @@ from typing import IO, Any
 import numpy as np
 import numpy.typing as npt
 
+from greenhouse_gym.build.scans.cloud_formats.columns import Parts, every, read_records, require_all
 from greenhouse_gym.build.scans.cloud_formats.native import native_output
-from greenhouse_gym.build.scans.cloud_formats.parts import Parts, every, read_records, require_all
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.geometry import Array
 

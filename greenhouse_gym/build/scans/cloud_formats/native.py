@@ -11,10 +11,9 @@ from typing import IO
 
 import numpy as np
 
-from greenhouse_gym.build.scans.cloud_formats import native_script, parts
-from greenhouse_gym.build.scans.cloud_formats.columns import fractions
+from greenhouse_gym.build.scans.cloud_formats import columns, native_script
+from greenhouse_gym.build.scans.cloud_formats.columns import Parts, fractions
 from greenhouse_gym.build.scans.cloud_formats.native_script import E57_POINT
-from greenhouse_gym.build.scans.cloud_formats.parts import Parts
 from greenhouse_gym.common.isolation import IsolatedError, isolated_output
 from greenhouse_gym.errors import FileFormatError, MissingDependencyError
 
@@ -57,7 +56,7 @@ def read_e57(path: Path) -> Parts:
         FileFormatError: The file is damaged.
         MissingDependencyError: The package pye57 is not installed.
     """
-    with native_output(path, "write_e57", [parts.MAX_POINTS], "pye57") as file:
+    with native_output(path, "write_e57", [columns.MAX_POINTS], "pye57") as file:
         total, scans = json.loads(file.readline())
         points = np.fromfile(file, E57_POINT)
     if len(points) != sum(kept for kept, _, _ in scans):
