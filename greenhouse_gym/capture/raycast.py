@@ -13,7 +13,7 @@ from greenhouse_gym.capture.light import Light, Skin, mesh_of, shade
 from greenhouse_gym.capture.rig import Intrinsics
 from greenhouse_gym.common.open3d_loader import open3d
 from greenhouse_gym.crops import Palette, PlantRow
-from greenhouse_gym.crops.plant_row import GUTTER_COLOR
+from greenhouse_gym.crops.crop import GUTTER_COLOR
 from greenhouse_gym.geometry import Array, Box, Capsule, Ellipsoid, Shape, frame_along, invert
 
 _BACKGROUND = (0.75, 0.80, 0.82)

@@ -15,7 +15,7 @@ from pydantic import Field, FiniteFloat
 from greenhouse_gym.capture.image_files import read_color, read_depth
 from greenhouse_gym.capture.rig import Camera, RgbdFrame, Rig, Station, size_text
 from greenhouse_gym.common.files import parsing
-from greenhouse_gym.crops.plant_row import PlantRow
+from greenhouse_gym.crops.crop import PlantRow
 from greenhouse_gym.errors import FileFormatError, InvalidValueError
 from greenhouse_gym.geometry import Array, is_pose
 

@@ -22,8 +22,7 @@ from greenhouse_gym.cli import (
     training_commands,
 )
 from greenhouse_gym.cli.demo import demo
-from greenhouse_gym.cli.doctor import doctor
-from greenhouse_gym.cli.listing import list_names
+from greenhouse_gym.cli.doctor import doctor, list_names
 from greenhouse_gym.errors import GreenhouseError
 
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode="markdown")

@@ -13,6 +13,17 @@ from itertools import count
 
 import numpy as np
 
+from greenhouse_gym.crops.crop import (
+    GUTTER_COLOR,
+    GUTTER_HEIGHT,
+    HIGHEST_TRUSS,
+    LOWEST_TRUSS,
+    PLANT_SPACING,
+    ROW_PITCH,
+    TRUSS_SPACING,
+    WIRE_HEIGHT,
+    PlantRow,
+)
 from greenhouse_gym.crops.cultivars import Cultivar
 from greenhouse_gym.crops.helios import Vine, grow_vine
 from greenhouse_gym.crops.mesh_organs import (
@@ -25,17 +36,6 @@ from greenhouse_gym.crops.mesh_organs import (
 )
 from greenhouse_gym.crops.organs import Organ, stems_of, tube_organ
 from greenhouse_gym.crops.parts import Tomato
-from greenhouse_gym.crops.plant_row import (
-    GUTTER_COLOR,
-    GUTTER_HEIGHT,
-    HIGHEST_TRUSS,
-    LOWEST_TRUSS,
-    PLANT_SPACING,
-    ROW_PITCH,
-    TRUSS_SPACING,
-    WIRE_HEIGHT,
-    PlantRow,
-)
 from greenhouse_gym.errors import GrowthError
 from greenhouse_gym.geometry import Array
 

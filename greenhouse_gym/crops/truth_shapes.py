@@ -18,8 +18,8 @@ from scipy.spatial import cKDTree
 
 from greenhouse_gym.common.array_files import read_arrays
 from greenhouse_gym.common.files import parsing, read_bytes, write_atomically
+from greenhouse_gym.crops.crop import PlantRow
 from greenhouse_gym.crops.organs import THIN_KINDS, Organ
-from greenhouse_gym.crops.plant_row import PlantRow
 from greenhouse_gym.crops.shape_tables import ShapeTables, as_tables, from_tables
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array, Box, Capsule, Shape

@@ -12,11 +12,10 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from greenhouse_gym.build.scans.cloud_files import GRAY, MIN_POINTS, RawCloud, read_cloud
-from greenhouse_gym.build.scans.frame import UNITS, guess_unit, guess_up, row_from_file
-from greenhouse_gym.build.scans.strays import without_strays
+from greenhouse_gym.build.scans.frame import UNITS, guess_unit, guess_up, row_from_file, without_strays
 from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.capture.rig import D435_DEPTH, Camera, Rig
-from greenhouse_gym.crops.plant_row import STEM_LINE
+from greenhouse_gym.crops.crop import STEM_LINE
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, require_choice
 from greenhouse_gym.geometry import Array, pose
 from greenhouse_gym.geometry.point_clouds import Cloud, voxel_means

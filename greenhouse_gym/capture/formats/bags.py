@@ -18,7 +18,6 @@ from greenhouse_gym.capture.formats.bag_poses import ODOMETRY, POSE, PoseTopic, 
 from greenhouse_gym.capture.formats.bag_readers import OpenBag, open_bag
 from greenhouse_gym.capture.formats.bag_topics import CameraTopics, MessageKey, cameras_of, is_rectified, match_moments
 from greenhouse_gym.capture.formats.image_lists import POSE_TOLERANCE, nearest_in_time
-from greenhouse_gym.capture.formats.pairs import Pair
 from greenhouse_gym.capture.formats.ros_messages import (
     StaticFrames,
     bare_name,
@@ -30,7 +29,7 @@ from greenhouse_gym.capture.formats.ros_messages import (
     static_frames,
     track,
 )
-from greenhouse_gym.capture.formats.single_camera import RIG_FROM_CAMERA
+from greenhouse_gym.capture.formats.single_camera import RIG_FROM_CAMERA, Pair
 from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.capture.rig import Camera, RgbdFrame, Rig, Station
 from greenhouse_gym.common.files import parsing

@@ -21,9 +21,9 @@ from greenhouse_gym.geometry import Array
 from greenhouse_gym.shapes.evidence import nearest_shapes
 from greenhouse_gym.shapes.neighborhoods import Neighborhoods
 from greenhouse_gym.shapes.networks import network
+from greenhouse_gym.shapes.robust_fit import fit_polyline, smooth_polyline
 from greenhouse_gym.shapes.stems.peduncle_features import PATH_STEP, PEDUNCLE_RADIUS, PeduncleCandidates
 from greenhouse_gym.shapes.stems.peduncles import find_peduncles, hop_costs
-from greenhouse_gym.shapes.stems.polylines import fit_polyline, smooth_polyline
 
 MIN_LENGTH = 0.025
 """Shortest peduncle in metres, from end to end."""
