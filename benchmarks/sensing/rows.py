@@ -19,14 +19,7 @@ from benchmarks.sensing.drawn_cultivars import drawn_cultivar
 from benchmarks.sensing.perfect_clouds import NOISE_FREE, perfect_cloud
 from greenhouse_gym import accuracy, capture, crops, geometry, reconstruction
 from greenhouse_gym.accuracy import Visibility, VisibleRow, align, visible_row
-from greenhouse_gym.capture import (
-    SEED_RIG,
-    Light,
-    Recording,
-    open_recording,
-    simulate_recording,
-    write_recording,
-)
+from greenhouse_gym.capture import SEED_RIG, Light, Recording, open_recording, simulate_recording, write_recording
 from greenhouse_gym.capture.formats.own import INDEX
 from greenhouse_gym.capture.simulated import CaptureSettings, tripod_poses
 from greenhouse_gym.common.files import write_atomically

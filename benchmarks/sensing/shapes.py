@@ -49,16 +49,7 @@ from benchmarks.common import (
     write_results,
 )
 from benchmarks.sensing import perfect_clouds, shape_collisions
-from benchmarks.sensing.rows import (
-    BARE,
-    CAUSES,
-    HELD_OUT_MESHES,
-    Row,
-    cloud_of,
-    recording_of,
-    truth_of,
-    visible_of,
-)
+from benchmarks.sensing.rows import BARE, CAUSES, HELD_OUT_MESHES, Row, cloud_of, recording_of, truth_of, visible_of
 from benchmarks.sensing.shape_boxes import box_figures
 from benchmarks.sensing.shape_collisions import compare_collisions
 from benchmarks.sensing.shape_figures import is_true, pooled, small_tomatoes, tables

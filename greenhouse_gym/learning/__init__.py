@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from greenhouse_gym.learning.trained import TrainedAgent
 
 _MODULES = {
-    "bc_then_ppo": ("train_bc_then_ppo",),
     "device_training": ("train_ppo_on_device",),
+    "imitation": ("train_bc_then_ppo",),
     "policies": ("load_into", "save_policy"),
     "ppo": ("load_ppo", "train_ppo"),
     "ppo_sweep": ("sweep_ppo",),

@@ -15,12 +15,18 @@ from greenhouse_gym.envs.state import STEP_LIMIT
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.learning.sb3 import make_sb3_vec_env
 from greenhouse_gym.learning.settings import SacSettings
-from greenhouse_gym.learning.training_settings import (
-    env_options,
-)
+from greenhouse_gym.learning.training_settings import env_options
 
 with needs("train"):
+    import tensorboard  # noqa: F401  Stable-Baselines3 needs it, but imports it late
+    import torch
     from stable_baselines3 import HerReplayBuffer
+
+    from greenhouse_gym.learning.guided_sac import Demonstrator, GuidedSAC
+    from greenhouse_gym.learning.sb3_features import policy_for
+    from greenhouse_gym.learning.training_files import load_checkpoint, settings_of
+    from greenhouse_gym.learning.training_report import TrainingReport, Validation
+    from greenhouse_gym.learning.training_run import as_json, check_start, learn, making_model, training_in
 
 _USED_KEYS = ("collision", "steps", "previous_goal", "effort", "TimeLimit.truncated")
 _MAX_DRAWS = 4  # of a goal at which the transition would already start
@@ -86,23 +92,12 @@ class GoalReplayBuffer(HerReplayBuffer):  # type: ignore[misc]
         )[0]
         return samples._replace(dones=self.to_torch(ended.astype(np.float32).reshape(-1, 1)))
 
-
-with needs("train"):
-    import tensorboard  # noqa: F401  Stable-Baselines3 needs it, but imports it late
-    import torch
-
     from greenhouse_gym.learning.guided_sac import Demonstrator, GuidedSAC
     from greenhouse_gym.learning.sac import GoalReplayBuffer
     from greenhouse_gym.learning.sb3_features import policy_for
     from greenhouse_gym.learning.training_files import load_checkpoint, settings_of
     from greenhouse_gym.learning.training_report import TrainingReport, Validation
-    from greenhouse_gym.learning.training_run import (
-        as_json,
-        check_start,
-        learn,
-        making_model,
-        training_in,
-    )
+    from greenhouse_gym.learning.training_run import as_json, check_start, learn, making_model, training_in
 
 
 def make_sac(settings: SacSettings) -> Any:
