@@ -83,7 +83,7 @@ def varied_scene(scene: Scene, rng: np.random.Generator, name: str, variation: V
 def varied_bank(
     bank: SceneBank, folder: str | Path, count: int, seed: int = 0, variation: Variation | None = None
 ) -> SceneBank:
-    """Write a bank with a bank's scenes and ``count`` variations of its training scenes, evenly many of each.
+    """Write a bank with a bank's scenes and ``count`` variations of its training scenes, equally many of each.
 
     The other splits are unchanged, so policies trained on the bank can be validated on it.
     """

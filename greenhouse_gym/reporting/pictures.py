@@ -49,7 +49,7 @@ def side_by_side(images: Sequence[Image]) -> Image:
 
 
 def save_pipeline(photograph: Image, cloud: Image, scene: Image, path: Path, height: int = 480) -> Path:
-    """Write the data's steps as one picture: a photograph, the row's cloud, the arm in the scene."""
+    """Draw the steps of the data as one picture: a photograph, the row's cloud, the arm in the scene."""
     import cv2
 
     parts = [

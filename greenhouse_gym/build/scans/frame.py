@@ -1,4 +1,4 @@
-"""Drop points that are no surface, and guess what a file does not state: unit, upward direction, side of the scanner.
+"""Drop stray points, and guess what a file does not state: unit, upward direction, side of the scanner.
 
 All guesses use the points alone and do not depend on how the cloud is rotated, mirrored or scaled.
 """
@@ -41,7 +41,7 @@ _LONG = 1.3  # minimum ratio of length to depth for the longer side to be the ro
 
 
 def without_strays(cloud: RawCloud) -> RawCloud:
-    """Return a cloud without points that are no surface, with sentences on them.
+    """Return a cloud without stray points and missing readings, and sentences on what was dropped.
 
     Some sensors write one position, mostly the origin, for all pixels without a reading. Strays are small groups far
     from the rest, such as readings of 65.535 m.

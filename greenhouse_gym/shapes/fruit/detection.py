@@ -66,7 +66,7 @@ def flower_mask(spheres: Sequence[Sphere], surface: SurfaceCloud) -> Mask:
 
 
 def find_flowers(surface: SurfaceCloud, fruit: Sequence[Shape]) -> tuple[Sphere, ...]:
-    """Return a ball of usual size around each group of petals on no fruit, in the frame of the surface, metres."""
+    """Return a ball of usual size around each group of petals away from fruit, in the frame of the surface, metres."""
     points = surface.points[petal_mask(surface.colors)]
     points = points[nearest_shapes(points, fruit, SHELL).owner < 0]
     if not len(points):
