@@ -43,7 +43,7 @@ def leaf_palette(rng: np.random.Generator, redness: float) -> LeafPalette:
 
 
 def grow_frond(
-    rng: np.random.Generator, frond: Frond, node: Array, azimuth: float, size: float, palette: LeafPalette, plant: int
+    rng: np.random.Generator, frond: Frond, node: Array, azimuth: float, size: float, palette: LeafPalette
 ) -> list[Organ]:
     """Grow a compound leaf at a node.
 
@@ -54,7 +54,6 @@ def grow_frond(
         azimuth: Direction of growth about z, radians.
         size: Scale of Helios' leaf.
         palette: Its plant's color.
-        plant: Number of its plant.
 
     Returns:
         The petiole and the blade.
@@ -67,8 +66,8 @@ def grow_frond(
     stalk = aged._replace(light=1.15 * aged.light, redness=aged.redness + 0.05).colors(_PLAIN)[0]
     blade = size * frond.blade.vertices @ turn.T + foot
     return [
-        tube_organ("petiole", axis, stalk, plant, around=7),
-        Organ("leaf", blade, frond.blade.triangles, aged.colors(frond.tone), plant),
+        tube_organ("petiole", axis, stalk, around=7),
+        Organ("leaf", blade, frond.blade.triangles, aged.colors(frond.tone)),
     ]
 
 
@@ -81,7 +80,6 @@ def grow_shoot(
     leaf_size: float,
     palette: LeafPalette,
     color: Array,
-    plant: int,
 ) -> list[Organ]:
     """Grow a side shoot: a stem that leaves the axil steeply and bends up or sags, with leaves of its own.
 
@@ -94,7 +92,6 @@ def grow_shoot(
         leaf_size: Scale of Helios' leaves.
         palette: Its plant's leaf color.
         color: (3,) color of its stem.
-        plant: Number of its plant.
     """
     steps = max(3, int(length / 0.04))
     slopes = np.linspace(rng.uniform(0.5, 1.1), rng.uniform(-0.4, 1.2), steps)
@@ -103,13 +100,13 @@ def grow_shoot(
     points = node[:3] + np.vstack([np.zeros(3), np.cumsum(along * length / steps, axis=0)])
     radii = min(0.6 * node[3], 0.0025 + 0.006 * length) * np.linspace(1.0, 0.6, steps + 1)
     axis = np.column_stack([points, radii])
-    organs = [tube_organ("main", axis, color, plant)]
+    organs = [tube_organ("main", axis, color)]
     for leaf in range(1 + int(length * SHOOT_LEAVES_PER_METRE)):
         fraction = (leaf + 1) / (1 + int(length * SHOOT_LEAVES_PER_METRE))
         here = np.array([np.interp(fraction, np.linspace(0, 1, steps + 1), axis[:, k]) for k in range(4)])
         frond = vine.fronds[int(rng.integers(len(vine.fronds)))]
         size = leaf_size * float(rng.uniform(0.6, 1.1)) * (1.2 - 0.5 * fraction)
-        organs += grow_frond(rng, frond, here, azimuth + 2.4 * (leaf + 1), size, palette, plant)
+        organs += grow_frond(rng, frond, here, azimuth + 2.4 * (leaf + 1), size, palette)
     return organs
 
 
@@ -132,14 +129,12 @@ class TrussNode(NamedTuple):
     Attributes:
         node: (4,) point on the main stem's axis and the stem's radius, metres.
         azimuth: Direction of growth about z, radians.
-        plant: Number of its plant.
         truss: Its number.
         first_fruit: Index of its first tomato in the row.
     """
 
     node: Array
     azimuth: float
-    plant: int
     truss: int
     first_fruit: int
 
@@ -160,7 +155,7 @@ def grow_mesh_truss(
     Returns:
         Its organs, and its tomatoes.
     """
-    node, azimuth, plant, truss, first_fruit = place
+    node, azimuth, truss, first_fruit = place
     number = int(rng.integers(cultivar.count[0], cultivar.count[1] + 1))
     peduncle = vine.peduncles[int(rng.integers(len(vine.peduncles)))]
     length = cultivar.rachis * rng.uniform(0.85, 1.15) * float(np.clip(0.4 + 2 * age, 0.3, 1.0))
@@ -183,7 +178,7 @@ def grow_mesh_truss(
     radii = thickness * np.interp(np.linspace(0, 1, len(points)), [0, 0.15, 1], [1.4, 1.0, 0.75])
     rachis = np.column_stack([points, radii])
     shade = np.array(_TRUSS_COLOR) * rng.uniform(0.9, 1.1)
-    organs = [tube_organ("peduncle", rachis, shade, plant, truss)]
+    organs = [tube_organ("peduncle", rachis, shade, truss)]
 
     fractions = np.linspace(0.45, 1.0, number)
     joints = np.column_stack([np.interp(fractions, np.linspace(0, 1, len(points)), points[:, k]) for k in range(3)])
@@ -201,7 +196,7 @@ def grow_mesh_truss(
     for k in range(number):
         towards = (centers[k] - joints[k]) / np.linalg.norm(centers[k] - joints[k])
         if not set_fruit[k]:
-            organs += _flower(vine, joints[k], directions[k], plant, truss, shade)
+            organs += _flower(vine, joints[k], directions[k], truss, shade)
             continue
         frame = frame_along(-towards) @ rotation_about(UP, spins[k])
         skin = _shaped(vine.fruit, widths[k], aspect, ribs, rib_count)
@@ -213,7 +208,6 @@ def grow_mesh_truss(
                 vertices,
                 skin.triangles,
                 _skin_colors(skin, np.array(cultivar.skin), ripe, rng),
-                plant,
                 truss,
                 first_fruit + len(tomatoes),
             )
@@ -221,11 +215,9 @@ def grow_mesh_truss(
         shape = fruit_ellipsoid(vertices, skin.triangles, frame)
         tomatoes.append(Tomato(shape, truss, ripe))
         top = widths[k] * aspect * vine.fruit.vertices[:, 2].max()
-        organs += _calyx(
-            vine, widths[k], full[k], top, frame, centers[k], plant, truss, first_fruit + len(tomatoes) - 1
-        )
+        organs += _calyx(vine, widths[k], full[k], top, frame, centers[k], truss, first_fruit + len(tomatoes) - 1)
         stem_end = centers[k] + frame[:, 2] * 0.85 * top
-        organs.append(_pedicel(joints[k], stem_end, 0.7 * thickness, shade, plant, truss))
+        organs.append(_pedicel(joints[k], stem_end, 0.7 * thickness, shade, truss))
     return organs, tomatoes
 
 
@@ -250,31 +242,31 @@ def _skin_colors(skin: Mesh, stops: Array, ripeness: float, rng: np.random.Gener
 
 
 def _calyx(
-    vine: Vine, width: float, full: float, top: float, frame: Array, center: Array, plant: int, truss: int, fruit: int
+    vine: Vine, width: float, full: float, top: float, frame: Array, center: Array, truss: int, fruit: int
 ) -> list[Organ]:
     """Return the sepals at the stem end, which grow earlier than the fruit."""
     size = 0.5 * width + 0.5 * min(full, 2.5 * width)
     local = vine.calyx.vertices * size
     local = local + [0.0, 0.0, top - size * vine.fruit.vertices[:, 2].max()]
     colors = np.tile(_CALYX_COLOR, (len(vine.calyx.triangles), 1))
-    return [Organ("calyx", local @ frame.T + center, vine.calyx.triangles, colors, plant, truss, fruit)]
+    return [Organ("calyx", local @ frame.T + center, vine.calyx.triangles, colors, truss, fruit)]
 
 
-def _flower(vine: Vine, joint: Array, direction: Array, plant: int, truss: int, shade: Array) -> list[Organ]:
+def _flower(vine: Vine, joint: Array, direction: Array, truss: int, shade: Array) -> list[Organ]:
     """Return an open flower on its pedicel."""
     foot = joint + 0.012 * direction
     frame = frame_along(direction)
     vertices = vine.flower.vertices @ frame.T + foot
     return [
-        Organ("flower", vertices, vine.flower.triangles, vine.flower_colors, plant, truss),
-        _pedicel(joint, foot, 0.0008, shade, plant, truss),
+        Organ("flower", vertices, vine.flower.triangles, vine.flower_colors, truss),
+        _pedicel(joint, foot, 0.0008, shade, truss),
     ]
 
 
-def _pedicel(joint: Array, end: Array, radius: float, shade: Array, plant: int, truss: int) -> Organ:
+def _pedicel(joint: Array, end: Array, radius: float, shade: Array, truss: int) -> Organ:
     """Return a pedicel, slightly bent upwards, with the knuckle at which it breaks."""
     fraction = np.array([0.0, 0.3, 0.5, 0.62, 0.74, 1.0])
     bow = 0.15 * np.linalg.norm(end - joint) * np.sin(np.pi * fraction)
     points = joint + fraction[:, None] * (end - joint) + bow[:, None] * UP
     radii = max(radius, 0.0008) * np.array([1.0, 0.95, 1.0, 1.35, 1.1, 1.25])
-    return tube_organ("pedicel", np.column_stack([points, radii]), shade, plant, truss)
+    return tube_organ("pedicel", np.column_stack([points, radii]), shade, truss)
