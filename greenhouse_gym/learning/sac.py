@@ -92,13 +92,6 @@ class GoalReplayBuffer(HerReplayBuffer):  # type: ignore[misc]
         )[0]
         return samples._replace(dones=self.to_torch(ended.astype(np.float32).reshape(-1, 1)))
 
-    from greenhouse_gym.learning.guided_sac import Demonstrator, GuidedSAC
-    from greenhouse_gym.learning.sac import GoalReplayBuffer
-    from greenhouse_gym.learning.sb3_features import policy_for
-    from greenhouse_gym.learning.training_files import load_checkpoint, settings_of
-    from greenhouse_gym.learning.training_report import TrainingReport, Validation
-    from greenhouse_gym.learning.training_run import as_json, check_start, learn, making_model, training_in
-
 
 def make_sac(settings: SacSettings) -> Any:
     """Make an untrained Stable-Baselines3 model on its own vector environment.
