@@ -67,7 +67,8 @@ def comparison_report(
     track, evaluations = next(iter(tracks.items()))
     shown = [e for e in evaluations if e.records and e.agent in agents]
     colors = colors_of([e.agent for es in tracks.values() for e in es])
-    episodes = _episode_pages(shown, agents, split, opened, track, colors, **options) if shown else []
+    moving = TRACKS[track].get("plants") == "compliant"  # a scene page shows plants at rest
+    episodes = _episode_pages(shown, agents, split, opened, track, colors, **options) if shown and not moving else []
     rule = f"Track {track}. {RULE}" + (_PLANTS_AT_REST if track == "moved" else "")
     return comparison_page(title, tracks, colors, [f"{source}.", *notes], rule, episodes)
 

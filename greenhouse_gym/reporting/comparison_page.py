@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from greenhouse_gym.evaluation.entry import HARVEST
+from greenhouse_gym.evaluation.harvest import harvest_rows, is_harvest
 from greenhouse_gym.evaluation.records import Evaluation, comparison_notes, comparison_rows, difficulties_of
 from greenhouse_gym.reporting import comparison_figures as figures
 from greenhouse_gym.reporting.pages import render
@@ -15,6 +17,7 @@ _WORLDS = {
     "truth": "Agents know the reconstruction; their contacts are with the scanned row.",
     "moved": "Agents know the reconstruction; their contacts are with the scanned row, after its plants moved.",
     "brush": "Agents know the reconstruction; their contacts are with the scanned row, whose leaves give way.",
+    HARVEST: "Agents harvest stands of the scanned row, whose plants give way.",
 }
 
 
@@ -62,6 +65,7 @@ def _track(name: str, evaluations: Sequence[Evaluation], colors: Mapping[str, st
     return {
         "name": name,
         "world": _WORLDS[name],
+        "harvest": harvest_rows(evaluations) if is_harvest(evaluations) else None,
         "summary": comparison_rows(evaluations),
         "warnings": comparison_notes(evaluations),
         "colors": used,
