@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
@@ -20,11 +19,9 @@ from greenhouse_gym.agents.picking import (
     with_fruit,
     withdraw,
 )
-from greenhouse_gym.agents.planner_agent import safe_commands
 from greenhouse_gym.agents.rehearsal import Action, Rehearsal
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.planning import plan
 from greenhouse_gym.plants.live import CRATED, HANGING
 from greenhouse_gym.plants.live_scene import LiveScene
 from greenhouse_gym.robots import Robot
@@ -36,7 +33,6 @@ BUDGET = 1500
 HARM = (0, 1)
 """Numbers of damaged organs and fruit knocked off that a pick may cost; the first one with a pick counts."""
 
-_CHECKS = 60_000  # collision checks of a plan
 _GOALS = 30  # configurations at a fruit
 _AROUND = 0.04  # metres: distance from the crate that paths to fruit keep where they can
 _SCENES = ((True, _AROUND), (True, 0.0), (False, 0.0))  # whether leaves are obstacles, and that distance
@@ -179,17 +175,9 @@ class _Pick:
 
     def _follow(self, trial: Rehearsal, scene: Scene, target: int, arm: Robot, goals: int | Array, seed: int) -> bool:
         """Plan and follow a path; return whether there is one."""
-        start = np.clip(trial.command, arm.lower, arm.upper)
-        result = plan(
-            scene, target, arm, self._planner, time_limit=None, max_checks=_CHECKS, goals=goals,
-            seed=self._problem.seed + seed, start=start,
-        )  # fmt: skip
-        if result.path is None:
-            self.failure = f"no plan: {result.status} {result.message}".strip()
-            return False
-        for command in safe_commands(scene, target, result.path, replace(self._problem, robot=arm)):
-            trial.step(command - trial.command, trial.plants.held >= 0)
-        return True
+        failure = trial.follow(scene, target, self._planner, arm, goals, seed)
+        self.failure = failure or self.failure
+        return not failure
 
     def _harmless(self, trial: Rehearsal) -> bool:
         """Return whether a trial has lost nothing and done no more harm than allowed."""

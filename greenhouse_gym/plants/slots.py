@@ -159,7 +159,7 @@ class _Filler:
         self._colors = np.array(colors_of(compiled.scene))
         model = self._model
         for body in range(1, model.nbody):  # empty slots touch nothing
-            if model.body(body).name.startswith(("truss_", "fruit_", "leaf_", "loose_")):
+            if model.body(body).name.startswith(("truss_", "fruit_", "leaf_", "loose_", "cut_")):
                 first = int(model.body_geomadr[body])
                 model.geom_conaffinity[first : first + int(model.body_geomnum[body])] = 0
 

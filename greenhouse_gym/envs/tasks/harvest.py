@@ -40,6 +40,9 @@ SIZES: Mapping[str, Layout] = MappingProxyType(
 )
 """Sizes of the task with their slots: one fruit, all ripe fruit of a truss, those of up to four trusses."""
 
+TOOLS = ("suction", "cutter")
+"""Tools that hold a fruit, or cut a peduncle and hold the truss."""
+
 STEP_LIMITS: Mapping[str, int] = MappingProxyType({"pick": 400, "truss": 4000, "stand": 6000})
 """Steps after which an episode of each size is truncated: 20, 200 and 300 s."""
 
@@ -117,8 +120,12 @@ class TomatoHarvest(Task):
     Plants give way, fruit comes off when it is pulled and bent, and falls when the cup lets go. The task needs
     ``plants="compliant"`` and ``physics="truth"``.
 
-    **Action.** As the setting ``action`` moves the arm, and a last entry for the vacuum: on above 0. With vacuum, the
-    cup holds a fruit that it touches, up to a force of 18 N.
+    **Action.** As the setting ``action`` moves the arm, and a last entry for the tool: on above 0. With vacuum, the cup
+    holds a fruit that it touches, up to a force of 18 N. A cutter within 6 mm of a peduncle's first piece cuts it and
+    holds the whole truss, with its unripe fruit, up to 40 N, until it opens.
+
+    **Observation.** With a cutter, the fruit in work is the truss: the point to cut, or the middle of the one that is
+    held.
 
     **Success.** All fruit to be picked lie in the crate. An episode also ends, without success, when none of them is
     left to pick, when more than ``max_damage`` organs are damaged, when the arm touches itself or a fixture (floor,
@@ -133,6 +140,7 @@ class TomatoHarvest(Task):
         max_damage: Number of damaged organs that an episode survives.
         layout: Slots for compliant plants, and the crate; None for those of the size.
         mechanics: Mechanics of the plants.
+        tool: "suction", or "cutter" for whole trusses.
     """
 
     ends_on = ("fixture", "self")
@@ -145,22 +153,23 @@ class TomatoHarvest(Task):
     )
     memory = MappingProxyType(dict.fromkeys(("wanted", "worked", *COUNTED), 0.0))
 
-    controls = ("vacuum",)
+    controls = ("tool",)
 
     size: str = "pick"
     ripe: float = RIPE
     max_damage: int = 3
     layout: Layout | None = None
     mechanics: PlantMechanics = field(default=PlantMechanics())
+    tool: str = "suction"
 
     def __post_init__(self) -> None:
         require_choice("size", self.size, SIZES)
         object.__setattr__(self, "step_limit", STEP_LIMITS[self.size])
-        if self.layout is None:
-            object.__setattr__(self, "layout", SIZES[self.size])
+        cutter = require_choice("tool", self.tool, TOOLS) == "cutter"
+        object.__setattr__(self, "layout", replace(self.layout or SIZES[self.size], cutter=cutter))
 
     def holds(self, controls: Array) -> Bools:
-        """Return a mask (n,) of the simulations whose vacuum is on."""
+        """Return a mask (n,) of the simulations whose tool is on."""
         return np.asarray(controls[:, 0] > 0)
 
     def sample(self, sampler: EpisodeSampler, rng: np.random.Generator, options: Mapping[str, Any] | None) -> Episode:
