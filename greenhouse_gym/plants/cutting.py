@@ -157,7 +157,7 @@ def swap_truss(
     data.qvel[dof : dof + 3] = velocity[3:]
     data.qvel[dof + 3 : dof + 6] = data.xmat[truss].reshape(3, 3).T @ velocity[:3]
     for old, new in zip((truss, *fruit), (cut, *own), strict=True):
-        _copy_body(model, int(old), int(new))
+        _copy_body(model, int(old), int(new), solid=int(model.body_geomnum[old]) if old == truss else 1)
         if old != truss:
             _copy_ball(model, data, int(old), int(new))
         leave_stub(model, data, int(old))
@@ -170,8 +170,8 @@ def swap_truss(
     model.eq_data[:] = rules
 
 
-def _copy_body(model: mujoco.MjModel, old: int, new: int) -> None:
-    """Give a parked body the shapes and mass of another one; its fruit stop at what stands and lies around."""
+def _copy_body(model: mujoco.MjModel, old: int, new: int, solid: int) -> None:
+    """Give a parked body the shapes and mass of another one; the first ones stop at what stands and lies around."""
     for name in _BODY:
         getattr(model, name)[new] = getattr(model, name)[old]
     model.body_gravcomp[new] = 0.0
@@ -179,9 +179,9 @@ def _copy_body(model: mujoco.MjModel, old: int, new: int) -> None:
     for name in _GEOM:
         getattr(model, name)[first : first + count] = getattr(model, name)[source : source + count]
     geoms = np.arange(first, first + count)
-    solid = (model.geom_conaffinity[geoms] > 0) & (model.geom_type[geoms] != mujoco.mjtGeom.mjGEOM_CAPSULE)
-    model.geom_contype[geoms[solid]] = LOOSE
-    model.geom_conaffinity[geoms] = np.where(solid, ALL & ~CUP, 0)
+    stops = (model.geom_conaffinity[geoms] > 0) & (np.arange(count) < solid)  # pedicels do not
+    model.geom_contype[geoms] = np.where(stops, LOOSE, 0)
+    model.geom_conaffinity[geoms] = np.where(stops, ALL & ~CUP, 0)
     build_tree(model, new)
 
 

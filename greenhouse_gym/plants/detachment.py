@@ -98,7 +98,7 @@ def _mass_of(model: mujoco.MjModel, geom: int, density: float) -> tuple[float, A
 def leave_stub(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> None:
     """Leave a hanging body whose shapes have come off, nearly without mass and where it is now."""
     first, count = first_geom(model, body), int(model.body_geomnum[body])
-    model.geom_conaffinity[first : first + count] = 0
+    model.geom_contype[first : first + count] = model.geom_conaffinity[first : first + count] = 0
     model.geom_rgba[first, 3] = 0.0
     joint = int(model.body_jntadr[body])
     numbers = 4 if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_BALL else int(model.body_jntnum[body])

@@ -230,15 +230,19 @@ class _Filler:
                     model.qpos_spring[qpos] = torque[0] / stiffness
 
     def _part_overlaps(self, data: mujoco.MjData, ids: SlotIds) -> None:
-        """Let loose fruit pass the static shapes that they overlapped in the scan, which would eject them."""
+        """Let what comes loose pass the static shapes that it overlapped in the scan, which would eject it."""
         model = self._model
         static = self._first + np.arange(len(self._arrays.kinds))
         static = static[(model.geom_conaffinity[static] & LOOSE) > 0]
-        for body in ids.fruit.ravel():
-            fruit = int(model.body_geomadr[body])
-            apart = np.linalg.norm(data.geom_xpos[static] - data.geom_xpos[fruit], axis=1)
-            for geom in static[apart < model.geom_rbound[static] + model.geom_rbound[fruit]]:
-                if mujoco.mj_geomDistance(model, data, fruit, int(geom), 0.0, None) < 0:
+        loose = [int(model.body_geomadr[body]) for body in ids.fruit.ravel()]
+        for body in ids.truss[: len(ids.cut)]:  # whole trusses come loose
+            loose += range(int(model.body_geomadr[body]), int(model.body_geomadr[body] + model.body_geomnum[body]))
+        for one in loose:
+            if not model.geom_conaffinity[one]:
+                continue
+            apart = np.linalg.norm(data.geom_xpos[static] - data.geom_xpos[one], axis=1)
+            for geom in static[apart < model.geom_rbound[static] + model.geom_rbound[one]]:
+                if mujoco.mj_geomDistance(model, data, one, int(geom), 0.0, None) < 0:
                     model.geom_conaffinity[geom] &= ~LOOSE
 
     def _hinges(self, body: int, branch: Branch, stiffness: float) -> None:
