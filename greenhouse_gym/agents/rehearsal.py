@@ -119,6 +119,12 @@ class Rehearsal:
         return points[0, 0], frames[0][:, 2]
 
     @property
+    def shoulder(self) -> Array:
+        """Position (3,) of the arm's shoulder in the scene, metres, where the cart stands."""
+        base = self._physics.simulation(0).data.xpos[1]
+        return np.asarray(base + [0.0, 0.0, self._problem.robot.shoulder_height])
+
+    @property
     def frame(self) -> Array:
         """Axes (3, 3) of the tool in the scene, as columns."""
         return np.asarray(self._physics.sites(_ONE)[1][0])
@@ -150,6 +156,7 @@ class Rehearsal:
             sliding = self._problem.robot.sliding[:, None]
             linear = np.where(sliding, axes, np.cross(axes, self.tip[0] - anchors))
             jacobian = np.concatenate([linear, np.where(sliding, 0.0, axes)], axis=1).T
+            jacobian[:, : int(self._problem.robot.on_rail)] = 0.0  # the cart stands
             self.step(joint_change(jacobian, twist, self.interval, self._problem.joint_steps), True)
 
     def follow(self, scene: Scene, target: int, planner: str, arm: Robot, goals: int | Array, seed: int = 0) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.plants.mechanics import BALL_ARMATURE, HINGE_ARMATURE, HINGE_RANGE
-from greenhouse_gym.robots.robot import CUP_GEOM, TIP_SITE
+from greenhouse_gym.robots.robot import CUP_GEOM, TIP_SITE, slides
 
 ARM, CUP, LOOSE = 1, 2, 4
 """Bits of collision masks: links of the arm, its cup, and fruit that came off."""
@@ -32,6 +32,7 @@ SERVO_ERROR = 0.0375
 data sheet says 150 and 28. Without any limit an arm presses what does not move with kilonewtons."""
 
 _PARKED_HEIGHT = 40.0
+_CRATE_MASS = 2.0  # kg
 _EXTENT = 4.0  # metres: size of a scene, which parked bodies do not belong to; cameras see from a hundredth of it on
 
 
@@ -102,7 +103,8 @@ class Layout:
         for i in range(self.trusses if self.cutter else 0):
             cut = _parked(world, f"cut_{i}", 3 * _PARKED_HEIGHT + i, RACHIS + 2 * ATTACHED)
             _add_fruit(cut, f"cut_{i}", self.fruit, gravcomp=1.0)
-        crate = world.add_body(name="crate", pos=self.crate.position)
+        crate = (world.first_body() if slides(spec) else world).add_body(name="crate", pos=self.crate.position)
+        crate.mass, crate.inertia, crate.explicitinertial = _CRATE_MASS, [0.05] * 3, True
         for k, (middle, half) in enumerate(self.crate.boxes):
             color = [0.2, 0.35, 0.7, 1] if k < 5 else [0.5, 0.5, 0.52, 1]
             crate.add_geom(

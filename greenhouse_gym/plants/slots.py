@@ -125,6 +125,11 @@ def plant(
     x, y, z = layout.crate.position
     model.body_pos[ids.crate] = placement.position + [cosine * x - sine * y, sine * x + cosine * y, z]
     model.body_quat[ids.crate] = [np.cos(turn / 2), 0.0, 0.0, np.sin(turn / 2)]
+    if model.body_parentid[ids.crate]:  # on a cart that slides
+        base, back = int(model.body_parentid[ids.crate]), np.empty(4)
+        mujoco.mju_negQuat(back, model.body_quat[base])
+        mujoco.mju_rotVecQuat(model.body_pos[ids.crate], model.body_pos[ids.crate] - model.body_pos[base], back)
+        mujoco.mju_mulQuat(model.body_quat[ids.crate], back, model.body_quat[ids.crate].copy())
     filler.finish(ids)
     return Planted(ids, tuple(trusses), tuple(leaves), fruit, np.isin(fruit, list(wanted)), mechanics, topology)
 
@@ -238,8 +243,6 @@ class _Filler:
         for body in ids.truss[: len(ids.cut)]:  # whole trusses come loose
             loose += range(int(model.body_geomadr[body]), int(model.body_geomadr[body] + model.body_geomnum[body]))
         for one in loose:
-            if not model.geom_conaffinity[one]:
-                continue
             apart = np.linalg.norm(data.geom_xpos[static] - data.geom_xpos[one], axis=1)
             for geom in static[apart < model.geom_rbound[static] + model.geom_rbound[one]]:
                 if mujoco.mj_geomDistance(model, data, one, int(geom), 0.0, None) < 0:

@@ -16,10 +16,12 @@ from greenhouse_gym.envs.rewards import Transition
 from greenhouse_gym.envs.state import Bools, State, lengths
 from greenhouse_gym.envs.task import TARGET_FEATURES, Outcome, Task
 from greenhouse_gym.errors import InvalidValueError, require_choice
-from greenhouse_gym.geometry import Array
+from greenhouse_gym.geometry import Array, rotation_about
 from greenhouse_gym.plants.layout import ATTACHED, Layout
 from greenhouse_gym.plants.mechanics import PlantMechanics
+from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import Scene
+from greenhouse_gym.scene.mjcf import base_position
 
 RIPE = 0.6
 """Ripeness from which a tomato is picked."""
@@ -36,15 +38,19 @@ MOVING = 0.01
 _DRAWS = 256  # draws of an episode until one fits into the slots
 
 SIZES: Mapping[str, Layout] = MappingProxyType(
-    {"pick": Layout(1, 8, 8), "truss": Layout(1, 20, 8), "stand": Layout(4, 6, 8)}
+    {"pick": Layout(1, 8, 8), "truss": Layout(1, 20, 8), "stand": Layout(4, 6, 8), "row": Layout(12, 6, 16)}
 )
-"""Sizes of the task with their slots: one fruit, all ripe fruit of a truss, those of up to four trusses."""
+"""Sizes of the task with their slots: one fruit, all ripe fruit of a truss, those of up to four trusses, and those of up
+to twelve along a row."""
 
 TOOLS = ("suction", "cutter")
 """Tools that hold a fruit, or cut a peduncle and hold the truss."""
 
-STEP_LIMITS: Mapping[str, int] = MappingProxyType({"pick": 400, "truss": 4000, "stand": 6000})
-"""Steps after which an episode of each size is truncated: 20, 200 and 300 s."""
+STEP_LIMITS: Mapping[str, int] = MappingProxyType({"pick": 400, "truss": 4000, "stand": 6000, "row": 18000})
+"""Steps after which an episode of each size is truncated: 20, 200, 300 and 900 s."""
+
+ROW_REACH = 0.8
+"""Distance from the shoulder of an arm, at its nearest place on the rail, within which fruit of a row are picked, m."""
 
 COUNTED = ("detached", "crated", "dropped", "knocked", "damaged")
 """Counts of an episode, see `greenhouse_gym.envs.state.PLANTS`."""
@@ -134,8 +140,9 @@ class TomatoHarvest(Task):
     **Reward.** The terms of `HarvestReward`, in ``info["reward_terms"]``; ``sparse`` has ``crated`` alone.
 
     Attributes:
-        size: "pick" (one fruit), "truss" (all ripe fruit of its truss) or "stand" (the ripe fruit within reach of the
-            ripest trusses, as many as have a slot).
+        size: "pick" (one fruit), "truss" (all ripe fruit of its truss), "stand" (the ripe fruit within reach of the
+            ripest trusses, as many as have a slot) or "row" (the same along the rail of an arm of `mount_on_rail`, whose
+            first joint drives arm and crate).
         ripe: Ripeness from which a fruit is picked.
         max_damage: Number of damaged organs that an episode survives.
         layout: Slots for compliant plants, and the crate; None for those of the size.
@@ -182,6 +189,8 @@ class TomatoHarvest(Task):
         problem = ""
         for _ in range(_DRAWS):
             episode = sampler.draw(rng, options)
+            if self.size == "row":
+                _check_rail(sampler.robot, episode.scene)
             fruit, problem = self._fruit(episode, sampler)
             if not problem:
                 shown = ripe_targets(episode.scene, self.ripe)
@@ -211,7 +220,8 @@ class TomatoHarvest(Task):
             chosen = [tomatoes[anchor].truss]
             fruit = [k for k, t in enumerate(tomatoes) if t.truss in chosen and (t.ripeness or 0) >= self.ripe]
         else:
-            reachable = set(sampler.targets(scene))
+            along = self.size == "row"
+            reachable = _along_rail(sampler.robot, scene) if along else set(sampler.targets(scene))
             within = [k for tomato, k in ripe.items() if tomato in reachable]
             trusses = Counter(tomatoes[k].truss for k in within)
             chosen = [truss for truss, count in trusses.most_common() if count <= self.layout.fruit]
@@ -238,6 +248,41 @@ class TomatoHarvest(Task):
         memory["wanted"] = plants["wanted"]
         memory["worked"] = state.memory["worked"] + (np.abs(state.velocities).max(axis=1) > MOVING)
         return Outcome(distance, success & ~failure, failure, memory=memory)
+
+
+def _in_base(scene: Scene, robot: Robot, points: Array) -> Array:
+    """Return points (n, 3) of a scene in the frame of an arm's base at the middle of its rail, metres."""
+    return (points - base_position(scene, robot)) @ rotation_about([0, 0, 1], scene.placement.yaw)
+
+
+def _along_rail(robot: Robot, scene: Scene) -> set[int]:
+    """Return the tomatoes within reach from somewhere on the rail."""
+    centers = _in_base(scene, robot, np.array([tomato.center for tomato in scene.tomatoes]))
+    centers[:, 1] -= np.clip(centers[:, 1], robot.lower[0], robot.upper[0])
+    centers[:, 2] -= robot.shoulder_height
+    return set(np.flatnonzero(lengths(centers) < ROW_REACH).tolist())
+
+
+def _check_rail(robot: Robot, scene: Scene) -> None:
+    """Check that an arm slides along a row, and no farther than the row.
+
+    Raises:
+        InvalidValueError: It does not, or it slides beyond.
+    """
+    if not robot.on_rail:
+        raise InvalidValueError(
+            f"size 'row' needs an arm on a rail, and robot {robot.name!r} has none: "
+            "greenhouse_gym.robots.mount_on_rail writes a copy of an arm on one"
+        )
+    arrays = (scene.truth or scene).arrays
+    plants = _in_base(scene, robot, np.concatenate([arrays.starts, arrays.ends]))[:, 1]
+    low, high = float(robot.lower[0]), float(robot.upper[0])
+    if low < plants.min() or high > plants.max():
+        raise InvalidValueError(
+            f"the rail of robot {robot.name!r} leads from {low:.2f} to {high:.2f} m, beyond the row of scene "
+            f"{scene.name!r} from {plants.min():.2f} to {plants.max():.2f} m: give mount_on_rail a shorter reach, or "
+            "choose another scene"
+        )
 
 
 def ripe_targets(scene: Scene, ripe: float) -> dict[int, int]:
