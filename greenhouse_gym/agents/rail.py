@@ -31,7 +31,7 @@ def stops_of(robot: Robot) -> list[float]:
 
 @lru_cache(maxsize=32)
 def parked_at(robot: Robot, stop: float) -> Robot:
-    """Return an arm that cannot leave its stop on the rail, for planning; an arm without a rail is returned unchanged."""
+    """Return an arm that cannot leave its stop on the rail, for planning; one without a rail is returned unchanged."""
     if not robot.on_rail:
         return robot
     lower, upper = robot.lower.copy(), robot.upper.copy()

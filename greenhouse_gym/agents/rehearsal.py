@@ -160,7 +160,7 @@ class Rehearsal:
             self.step(joint_change(jacobian, twist, self.interval, self._problem.joint_steps), True)
 
     def follow(self, scene: Scene, target: int, planner: str, arm: Robot, goals: int | Array, seed: int = 0) -> str:
-        """Plan a path and follow it, and go on holding what is held; return why there is none, or an empty text.
+        """Plan and follow a path, without letting go; return the reason if none exists, else an empty text.
 
         Args:
             scene: Scene to plan in.

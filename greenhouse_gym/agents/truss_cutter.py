@@ -23,7 +23,7 @@ _STILL_ACTIONS = 20  # actions until a truss hangs still
 _SINKING, _SINKS = 0.08, 80  # m/s, and actions at most
 _CLEAR = 0.015  # metres between the lowest fruit and the rim or the bottom of the crate
 _OPENS, _FALLS = 4, 80  # actions to open, and at most until the truss lies still
-_HEADINGS = tuple(np.deg2rad([0.0, 35.0, -35.0, 70.0, -70.0]))  # of the tool at a peduncle, from straight ahead
+_YAWS = tuple(np.deg2rad([0.0, 35.0, -35.0, 70.0, -70.0]))  # of the tool at a peduncle, from straight ahead
 _SEEDS = 2
 _SHRUNK = 0.8  # radius of held fruit in plans over their own
 _UP = np.array([0.0, 0.0, 1.0])
@@ -69,7 +69,7 @@ class TrussCutter(NamedAgent):
         failed: set[int] = set()
         while True:
             start = Rehearsal(problem)
-            truss = start.plants.work(start.tip[0]).index
+            truss = start.plants.work(start.tip[0]).number
             if truss < 0 or truss in failed:
                 break
             actions = self._cut(problem, start, truss)
@@ -82,7 +82,7 @@ class TrussCutter(NamedAgent):
     def _cut(self, problem: Problem, start: Rehearsal, truss: int) -> list[Action] | None:
         """Return the actions that bring a truss into the crate with the least harm; None without any."""
         best: Rehearsal | None = None
-        for heading in _HEADINGS:
+        for heading in _YAWS:
             for seed in range(_SEEDS):
                 trial = start.twin()
                 self.status = self._try(problem, trial, truss, heading, seed)

@@ -35,7 +35,7 @@ class CutterPlants(LivePlants):
 
     @property
     def holding(self) -> bool:
-        """Whether the tool holds a truss."""
+        """True if the tool holds a truss."""
         return self.held_truss >= 0
 
     @property

@@ -65,12 +65,12 @@ class Work(NamedTuple):
     """Fruit or truss in work.
 
     Attributes:
-        index: Its index; -1 without one.
+        number: Its number among the fruit or trusses; -1 without one.
         point: (3,) where the tool has to go, or the middle of what it holds, metres.
         radius: Radius of what is at the point, metres.
     """
 
-    index: int
+    number: int
     point: Array
     radius: float
 
@@ -130,7 +130,7 @@ class LivePlants:
 
     @property
     def holding(self) -> bool:
-        """Whether the tool holds something."""
+        """True if the tool holds something."""
         return self.held >= 0
 
     @property

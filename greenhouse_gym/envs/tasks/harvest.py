@@ -40,8 +40,8 @@ _DRAWS = 256  # draws of an episode until one fits into the slots
 SIZES: Mapping[str, Layout] = MappingProxyType(
     {"pick": Layout(1, 8, 8), "truss": Layout(1, 20, 8), "stand": Layout(4, 6, 8), "row": Layout(12, 6, 16)}
 )
-"""Sizes of the task with their slots: one fruit, all ripe fruit of a truss, those of up to four trusses, and those of up
-to twelve along a row."""
+"""Sizes of the task with their slots: one fruit, all ripe fruit of a truss, those of up to four trusses, or of up to
+twelve along a row."""
 
 TOOLS = ("suction", "cutter")
 """Tools that hold a fruit, or cut a peduncle and hold the truss."""
@@ -141,8 +141,8 @@ class TomatoHarvest(Task):
 
     Attributes:
         size: "pick" (one fruit), "truss" (all ripe fruit of its truss), "stand" (the ripe fruit within reach of the
-            ripest trusses, as many as have a slot) or "row" (the same along the rail of an arm of `mount_on_rail`, whose
-            first joint drives arm and crate).
+            ripest trusses, as many as have a slot) or "row" (the same along the rail of an arm of
+            `greenhouse_gym.robots.mount_on_rail`, whose first joint drives arm and crate).
         ripe: Ripeness from which a fruit is picked.
         max_damage: Number of damaged organs that an episode survives.
         layout: Slots for compliant plants, and the crate; None for those of the size.
@@ -205,18 +205,18 @@ class TomatoHarvest(Task):
         scene = episode.scene
         ripe = ripe_targets(scene, self.ripe)
         anchor = ripe.get(episode.targets[0])
-        if anchor is None:
+        if anchor is None and self.size != "row":
             where = f"scene {scene.name!r}, tomato {episode.targets[0]}"
             return (
                 (),
                 f"{where} is not ripe (from {self.ripe}) in the truth, or not within {1000 * MATCHED:.0f} mm of it",
             )
-        if self.size == "pick":
+        if self.size == "pick" and anchor is not None:
             return (anchor,), ""
         assert self.layout is not None
         assert scene.truth is not None
         tomatoes = scene.truth.tomatoes
-        if self.size == "truss":
+        if self.size == "truss" and anchor is not None:
             chosen = [tomatoes[anchor].truss]
             fruit = [k for k, t in enumerate(tomatoes) if t.truss in chosen and (t.ripeness or 0) >= self.ripe]
         else:
