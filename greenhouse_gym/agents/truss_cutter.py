@@ -14,7 +14,7 @@ from greenhouse_gym.agents.rehearsal import Action, Rehearsal
 from greenhouse_gym.envs.tasks.harvest import TomatoHarvest
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.plants.cutting import CutterPlants
+from greenhouse_gym.scene.plants.cutting import CutterPlants
 
 _BEFORE = 0.06  # metres in front of the peduncle at which a path ends
 _CLOSING, _CLOSES = 0.06, 40  # m/s, and actions at most

@@ -14,9 +14,9 @@ from greenhouse_gym.envs import make_env
 from greenhouse_gym.envs.environment import GreenhouseEnv
 from greenhouse_gym.envs.tasks.harvest import TomatoHarvest
 from greenhouse_gym.errors import InvalidValueError, UnknownNameError
-from greenhouse_gym.plants import cutting
-from greenhouse_gym.plants.layout import LOOSE
-from greenhouse_gym.plants.live import HANGING, LOST, LivePlants
+from greenhouse_gym.scene.plants import cutting
+from greenhouse_gym.scene.plants.layout import LOOSE
+from greenhouse_gym.scene.plants.live import HANGING, LOST, LivePlants
 
 OPTIONS: dict[str, Any] = {"bank": "mini", "plants": "compliant", "physics": "truth"}
 BEEFSTEAK, CHERRY = "helios-beefsteak-2001-w05-01", "helios-cherry-2005-w01-00"

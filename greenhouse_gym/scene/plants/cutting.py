@@ -6,10 +6,19 @@ import mujoco
 import numpy as np
 
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.plants.detachment import first_geom, hold, leave_stub
-from greenhouse_gym.plants.layout import ALL, CUP, LOOSE
-from greenhouse_gym.plants.live import CRATED, FLOOR_HEIGHT, HANGING, LOST, REST_ACTIONS, REST_SPEED, LivePlants, Work
 from greenhouse_gym.scene.obstacle_slots import build_tree
+from greenhouse_gym.scene.plants.detachment import first_geom, hold, leave_stub
+from greenhouse_gym.scene.plants.layout import ALL, CUP, LOOSE
+from greenhouse_gym.scene.plants.live import (
+    CRATED,
+    FLOOR_HEIGHT,
+    HANGING,
+    LOST,
+    REST_ACTIONS,
+    REST_SPEED,
+    LivePlants,
+    Work,
+)
 
 CUT_GAP = 0.006
 """Maximum gap between the tool and a peduncle that it cuts, metres."""
