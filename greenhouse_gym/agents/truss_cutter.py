@@ -15,6 +15,7 @@ from greenhouse_gym.envs.tasks.harvest import TomatoHarvest
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.scene.plants.cutting import CutterPlants
+from greenhouse_gym.scene.plants.live import HANGING
 
 _BEFORE = 0.06  # metres in front of the peduncle at which a path ends
 _CLOSING, _CLOSES = 0.06, 40  # m/s, and actions at most
@@ -150,7 +151,8 @@ class TrussCutter(NamedAgent):
             lying.step(np.zeros(len(robot.joints)), False)
         trial.harm = lying.harm
         del trial.actions[count:]
-        return "fruit would miss the crate" if lying.lost or lying.plants.on_truss(truss) else ""
+        left = lying.plants.wanted & (lying.plants.state == HANGING)
+        return "fruit would miss the crate" if lying.lost or left[fruit].any() else ""
 
 
 def _close(hand: Rehearsal, truss: int) -> Iterator[Twist]:
