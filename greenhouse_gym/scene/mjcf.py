@@ -37,6 +37,7 @@ YIELDING = 1.0
 
 TIMESTEP = 0.01
 _PARKED = (0.0, 0.0, -50.0)
+_CHUNK = 200  # slots added at a time
 _STEM_COLORS = {
     "main": (0.33, 0.48, 0.2, 1.0),
     "peduncle": (0.4, 0.6, 0.25, 1.0),
@@ -152,12 +153,23 @@ def scene_spec(
         reached = spec.geom(names[target])
         reached.contype = reached.conaffinity = ARM_ONLY
     if capacity is not None:
-        parked = spec.add_default("parked obstacles", spec.default)
-        parked.geom.type, parked.geom.size, parked.geom.pos = mujoco.mjtGeom.mjGEOM_SPHERE, [0.001, 0, 0], _PARKED
-        parked.geom.rgba, parked.geom.contype, parked.geom.conaffinity = [0, 0, 0, 0], ARM_AND_CUP, ARM_AND_CUP
-        for i in range(len(names), capacity):
-            world.add_geom(parked, name=f"obstacle_{i}")
+        _add_slots(spec, capacity - len(names))
     return spec
+
+
+def _add_slots(spec: mujoco.MjSpec, count: int) -> None:
+    """Add parked geoms to the world; one by one, each would take MuJoCo longer than the one before."""
+    spec.copy_during_attach = True
+    for size, copies in ((_CHUNK, count // _CHUNK), (count % _CHUNK, 1)):
+        chunk = mujoco.MjSpec().worldbody
+        frame = chunk.add_frame()
+        for _ in range(size):
+            chunk.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.001, 0, 0], pos=_PARKED, rgba=[0, 0, 0, 0],
+                contype=ARM_AND_CUP, conaffinity=ARM_AND_CUP,
+            ).set_frame(frame)  # fmt: skip
+        for copied in range(copies if size else 0):
+            spec.worldbody.attach_frame(frame, f"slots_{size}_{copied}_", "")
 
 
 def compile_scene(
@@ -172,7 +184,7 @@ def compile_scene(
         scene: The scene.
         robot: As `scene_spec`.
         capacity: Number of obstacle slots; unused ones are parked geoms, so models of several scenes have equal sizes.
-            The geoms of all slots are named ``obstacle_0`` and so on; see `CompiledScene.geom_name`.
+            The geoms of slots have no names; see `CompiledScene.geom_name`.
         edit: Callback that changes the specification before it is compiled.
 
     Raises:
