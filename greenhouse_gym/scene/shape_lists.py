@@ -48,9 +48,7 @@ def read_tomatoes(rows: Sequence[Row]) -> ShapeColumns:
     arrays, radii = _read([row["shape"] for row in rows], (Sphere, Ellipsoid))
     for row in rows:
         ripeness = row.get("ripeness")
-        known = type(row["truss"]) is int and (
-            ripeness is None or (type(ripeness) is float and 0 <= ripeness <= 1)
-        )
+        known = type(row["truss"]) is int and (ripeness is None or (type(ripeness) is float and 0 <= ripeness <= 1))
         if not known or not row.keys() <= {"shape", "truss", "ripeness"}:
             raise InvalidValueError(f"not a tomato: {row}")
     return ShapeColumns.of()._replace(
