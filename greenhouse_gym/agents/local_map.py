@@ -111,7 +111,7 @@ class LocalMap:
         return self.points if boxes else np.concatenate([self.points, self.points_at_boxes])
 
     def _examined(self, index: int) -> bool:
-        """Return whether a shape of the scan is a box most of which the camera has observed."""
+        """Return whether the camera has observed most of a shape of the scan, which is a box."""
         kind, center, _, sizes, rotation = (array[index] for array in self._shapes)
         if kind != BOX:
             return False

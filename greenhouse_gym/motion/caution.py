@@ -129,8 +129,8 @@ def _with_margin(key: ByIdentity, robot: Robot, start: tuple[float, ...], margin
     data = mujoco.MjData(model)
     data.qpos[:] = start
     mujoco.mj_forward(model, data)
-    touched = data.contact.geom.reshape(-1) - compiled.obstacle_geoms.start
-    enlarged[touched[(touched >= 0) & (touched < len(enlarged))]] = False
+    slots = data.contact.geom.reshape(-1) - compiled.obstacle_geoms.start
+    enlarged[slots[(slots >= 0) & (slots < len(enlarged))]] = False
     return widened()
 
 

@@ -165,7 +165,7 @@ class Shapes(Part):
         return copied
 
     def with_columns(self, columns: ShapeColumns, changed: Collection[str] = _PARTS) -> Self:
-        """Copy the model with other shapes, of which some parts have changed."""
+        """Copy the model with other shapes; ``changed`` names the parts that differ."""
         copied = super().model_copy()
         for name in changed:
             vars(copied).pop(name, None)
