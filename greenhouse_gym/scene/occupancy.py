@@ -155,8 +155,8 @@ def _boxes_of_blocks(
     for axis in axes:
         blocks = _joined(blocks, axis)
     low, high = blocks[:, ::2], blocks[:, 1::2]
-    centers = np.asarray(origin, dtype=np.float64) + (low + high) * (voxel / 2)
-    return ShapeArrays.of_boxes(centers, (high - low) * (voxel / 2))
+    centers, halves = np.asarray(origin, dtype=np.float64) + (low + high) * (voxel / 2), (high - low) * (voxel / 2)
+    return ShapeArrays.of_boxes(np.asarray(centers, dtype=np.float64), np.asarray(halves, dtype=np.float64))
 
 
 def _joined(blocks: npt.NDArray[np.int64], axis: int) -> npt.NDArray[np.int64]:
