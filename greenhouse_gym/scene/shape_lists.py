@@ -45,7 +45,7 @@ def in_bulk(read: Callable[[Sequence[Row]], ShapeColumns], limit: int) -> WrapVa
     """
 
     def validate(value: Any, one_by_one: ValidatorFunctionWrapHandler) -> Any:
-        if isinstance(value, list) and len(value) <= limit and all(isinstance(row, dict) for row in value):
+        if isinstance(value, list) and len(value) <= limit and set(map(type, value)) <= {dict}:
             try:
                 return read(value)
             except (KeyError, TypeError, ValueError):
@@ -73,7 +73,7 @@ def read_tomatoes(rows: Sequence[Row]) -> ShapeColumns:
 
 def read_stems(rows: Sequence[Row]) -> ShapeColumns:
     """Read stems."""
-    arrays, _ = _read([{key: row[key] for key in row if key != "kind"} for row in rows], (Capsule,))
+    arrays, _ = _read(rows, (Capsule,), ("kind",))
     kinds = np.array([STEM_KINDS.index(row["kind"]) for row in rows], dtype=np.int8)
     return ShapeColumns.of()._replace(arrays=arrays, kinds=kinds)
 
@@ -84,12 +84,17 @@ def read_clutter(rows: Sequence[Row]) -> ShapeColumns:
     return ShapeColumns.of()._replace(arrays=arrays, space=np.zeros(len(rows), dtype=np.bool_))
 
 
-def _read(rows: Sequence[Row], types: Sequence[type[Shape]]) -> tuple[ShapeArrays, Array]:
-    """Read shapes, each of the type among some that has its fields, and the radii (n,) of those that have one."""
-    by_fields = {frozenset(_FIELDS[shape_type]): shape_type for shape_type in types}
+def _read(rows: Sequence[Row], types: Sequence[type[Shape]], others: Sequence[str] = ()) -> tuple[ShapeArrays, Array]:
+    """Read shapes, each of the type among some that has its fields, and the radii (n,) of those that have one.
+
+    Rows have some other fields as well.
+    """
+    by_fields = {frozenset((*_FIELDS[shape_type], *others)): shape_type for shape_type in types}
+    orders = list(map(tuple, rows))
+    types_of = {order: by_fields[frozenset(order)] for order in set(orders)}
     chosen: dict[type[Shape], list[int]] = {}
-    for k, row in enumerate(rows):
-        chosen.setdefault(by_fields[frozenset(row)], []).append(k)
+    for k, order in enumerate(orders):
+        chosen.setdefault(types_of[order], []).append(k)
     arrays, radii = ShapeArrays.empty(len(rows)), np.zeros(len(rows))
     for shape_type, indices in chosen.items():
         columns = checked_columns(
