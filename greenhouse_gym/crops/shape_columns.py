@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.crops.parts import MAX_LEAF, STEM_KINDS, SpaceBox, Stem, Tomato
-from greenhouse_gym.geometry import Array, Shape, ShapeArrays, arrays_of, shapes_from, unchecked
+from greenhouse_gym.geometry import Array, Box, Capsule, Shape, ShapeArrays, Sphere, arrays_of, shapes_from, unchecked
 from greenhouse_gym.geometry.shape_arrays import BOX, ELLIPSOID
 
 
@@ -79,16 +79,16 @@ class ShapeColumns(NamedTuple):
         rows = ((*vars(capsule).values(), kind) for capsule, kind in zip(capsules, self.stem_kinds, strict=True))
         return tuple(unchecked(Stem, ("start", "end", "radius", "kind"), rows))
 
-    def clutter(self) -> tuple[Shape, ...]:
+    def clutter(self) -> tuple[Sphere | Capsule | Box, ...]:
         """Return the clutter."""
-        shapes = shapes_from(self.arrays.select(slice(len(self.radii) + len(self.kinds), None)))
+        shapes: list[Any] = shapes_from(self.arrays.select(slice(len(self.radii) + len(self.kinds), None)))
         for k in np.flatnonzero(self.space).tolist():
             shapes[k] = unchecked(SpaceBox, vars(shapes[k]), [vars(shapes[k]).values()])[0]
         return tuple(shapes)
 
     def with_space(self, boxes: ShapeArrays) -> ShapeColumns:
         """Add boxes of the kind of `SpaceBox` to the clutter."""
-        arrays = ShapeArrays._make(map(np.concatenate, zip(self.arrays, boxes, strict=True)))
+        arrays = ShapeArrays.joined([self.arrays, boxes])
         return self._replace(arrays=arrays, space=np.append(self.space, np.ones(len(boxes.kinds), dtype=np.bool_)))
 
     def with_clutter(self, kept: npt.NDArray[np.bool_]) -> ShapeColumns:
@@ -99,6 +99,5 @@ class ShapeColumns(NamedTuple):
 
 def joined(tomatoes: ShapeColumns, stems: ShapeColumns, clutter: ShapeColumns) -> ShapeColumns:
     """Join columns of tomatoes alone, stems alone and clutter alone."""
-    parts = (tomatoes.arrays, stems.arrays, clutter.arrays)
-    arrays = ShapeArrays._make(map(np.concatenate, zip(*parts, strict=True)))
+    arrays = ShapeArrays.joined([tomatoes.arrays, stems.arrays, clutter.arrays])
     return tomatoes._replace(arrays=arrays, kinds=stems.kinds, space=clutter.space)

@@ -121,7 +121,7 @@ def columns_of_tables(tables: ShapeTables) -> ShapeColumns:
         if not (getattr(tables, name)[:, first:end] > 0).all():
             raise InvalidValueError(f"{name}: expected positive sizes")
     tomatoes, _, spheres, capsules, boxes = tables
-    stretched = tomatoes[:, 6:].any(axis=1)
+    stretched = np.asarray(tomatoes[:, 6:].any(axis=1))
     measures = np.where(stretched[:, None], tomatoes[:, 6:9], tomatoes[:, 3:4])
     if not ((measures > 0).all() and (tomatoes[:, 5] <= 1).all()):
         raise InvalidValueError("tomatoes: expected positive sizes, and ripeness up to 1")

@@ -53,6 +53,11 @@ class ShapeArrays(NamedTuple):
         rotations = np.tile(np.eye(3), (len(centers), 1, 1))
         return cls(np.full(len(centers), BOX, np.int8), centers, centers, half_extents, rotations)
 
+    @classmethod
+    def joined(cls, parts: Sequence[ShapeArrays]) -> ShapeArrays:
+        """Return all shapes of some arrays."""
+        return cls._make(np.concatenate([part[k] for part in parts]) for k in range(len(cls._fields)))
+
     def select(self, chosen: slice | npt.NDArray[np.integer]) -> ShapeArrays:
         """Return the shapes at the given indices."""
         return ShapeArrays._make(array[chosen] for array in self)
