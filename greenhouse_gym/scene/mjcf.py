@@ -19,7 +19,7 @@ import numpy as np
 from greenhouse_gym.crops.parts import STEM_KINDS
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.robots import Robot, get_robot
-from greenhouse_gym.robots.robot import CUP_GEOM, TIP_SITE
+from greenhouse_gym.robots.robot import CUP_GEOM, TIP_SITE, slides
 from greenhouse_gym.robots.start import CART_HALF_WIDTH, cart_drop
 from greenhouse_gym.scene.obstacle_slots import TYPES, fill_slots, geoms_of
 from greenhouse_gym.scene.obstacles import ArmPlacement, Shapes, Surroundings
@@ -225,6 +225,7 @@ def _without_obstacles(
         return _compiled(spec, scene, robot, capacity)
 
 
+_RAIL = 0.04  # metres: height of the rail that a cart slides on
 _editing = threading.Lock()  # of the shared specifications
 
 
@@ -280,6 +281,16 @@ def _place_arm(spec: mujoco.MjSpec, scene: Surroundings, robot: Robot) -> None:
         )  # fmt: skip
         cart.size, cart.quat = [CART_HALF_WIDTH, CART_HALF_WIDTH, half], heading
         cart.pos = [position[0], position[1], floor + half]
+        if slides(spec):  # what stands on the floor is the rail, and the base carries the column
+            column = spec.geom("column") or base.add_geom(
+                name="column", type=mujoco.mjtGeom.mjGEOM_BOX, rgba=cart.rgba, mass=0, contype=1, conaffinity=3
+            )
+            back = np.empty(4)
+            mujoco.mju_negQuat(back, _base_rotation(robot))
+            column.size, column.quat = [CART_HALF_WIDTH, CART_HALF_WIDTH, half - _RAIL], back
+            mujoco.mju_rotVecQuat(column.pos, np.array([0.0, 0.0, floor + half + _RAIL - position[2]]), back)
+            cart.size = [CART_HALF_WIDTH, CART_HALF_WIDTH + float(robot.upper[0] - robot.lower[0]) / 2, _RAIL / 2]
+            cart.pos = [position[0], position[1], floor + _RAIL / 2]
 
 
 @lru_cache(maxsize=64)
