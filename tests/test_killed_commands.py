@@ -76,7 +76,10 @@ class Whole:
         if from_checkpoint:
             again = self.commands.run(*words, "--resume")
         assert again.status == 0, again.printed
-        assert contents(out, TIMED).keys() == self.files.keys(), self.name
+        assert contents(out, TIMED).keys() == self.files.keys(), (
+            self.name,
+            contents(out, TIMED).keys() ^ self.files.keys(),
+        )
         if self.name != "train-sac" or not from_checkpoint:  # whose replay buffer is empty again
             assert contents(out, TIMED) == self.files, self.name
 

@@ -6,10 +6,12 @@ The same seed gives every agent the same episodes, whatever the number of parall
 from __future__ import annotations
 
 import math
+import pickle
 import reprlib
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
+from contextlib import nullcontext
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -17,7 +19,7 @@ import numpy as np
 
 from greenhouse_gym.agents import Agent
 from greenhouse_gym.agents.named import agent_of
-from greenhouse_gym.common.executors import WorkerLostError, completed, require_portable, workers_of
+from greenhouse_gym.common.executors import WorkerLostError, completed, portable, workers_of
 from greenhouse_gym.common.own_code import described, printable
 from greenhouse_gym.common.progress import progress as progress_of
 from greenhouse_gym.envs import EnvSettings, make_vec_env
@@ -31,10 +33,10 @@ from greenhouse_gym.errors import (
     require_seed,
 )
 from greenhouse_gym.evaluation.asking import AgentError, AskedAgent, never_acted
-from greenhouse_gym.evaluation.deadline import Deadline
+from greenhouse_gym.evaluation.deadline import Deadline, Watchdog
 from greenhouse_gym.evaluation.journal import RecordJournal
 from greenhouse_gym.evaluation.records import Evaluation, Evaluations, Record
-from greenhouse_gym.evaluation.runner import EpisodeRunner
+from greenhouse_gym.evaluation.runner import GRACE, EpisodeRunner
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import Robot
 
@@ -287,15 +289,44 @@ class _Part:
         return list(self.records())
 
 
+@dataclass(frozen=True)
+class _Packed:
+    """Pickled subset; unpickling runs the agent's code, so that it has a time limit.
+
+    Attributes:
+        whole: The pickled `_Part`, of no episodes.
+        chosen: See `_Part`.
+        timeout: See `evaluate`.
+    """
+
+    whole: bytes
+    chosen: tuple[tuple[int, dict[str, Any]], ...]
+    timeout: float | None
+
+    def run(self) -> list[tuple[int, Record]]:
+        """Return all indices and records."""
+        with nullcontext() if self.timeout is None else Watchdog(self.timeout + GRACE):
+            whole: _Part = pickle.loads(self.whole)
+        return replace(whole, chosen=self.chosen).run()
+
+
 def _run_by(executor: Executor, whole: _Part) -> Iterator[tuple[int, Record]]:
     """Yield indices and records of all episodes, run in batches by an executor's workers."""
-    require_portable(executor, f"agent {whole.asked.name!r} with its options", whole)
-    chosen, workers = whole.chosen, workers_of(executor)
+    name, chosen, workers = whole.asked.name, whole.chosen, workers_of(executor)
     size = max(whole.num_envs, math.ceil(len(chosen) / (_PARTS * workers)))
-    whole = replace(whole, proven=True, workers=0 if isinstance(executor, ThreadPoolExecutor) else workers)
-    parts = (replace(whole, chosen=chosen[k : k + size]) for k in range(0, len(chosen), size))
+    whole = replace(whole, chosen=(), proven=True, workers=0 if isinstance(executor, ThreadPoolExecutor) else workers)
     try:
-        for records in completed(_Part.run, parts, executor):
+        packed = Deadline(whole.timeout).call(portable, executor, f"agent {name!r} with its options", whole)
+    except TimeoutError as error:
+        raise AgentError(f"agent {name!r}, pickled for another process, {error}") from error
+    batches = (chosen[k : k + size] for k in range(0, len(chosen), size))
+    parts = (_Packed(packed, part, whole.timeout) if packed else replace(whole, chosen=part) for part in batches)
+    try:
+        for records in completed(_run, parts, executor):
             yield from records
     except WorkerLostError as error:
-        raise WorkerLostError(f"agent {whole.asked.name!r}: {error}") from error
+        raise WorkerLostError(f"agent {name!r}: {error}") from error
+
+
+def _run(part: _Part | _Packed) -> list[tuple[int, Record]]:
+    return part.run()

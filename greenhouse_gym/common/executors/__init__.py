@@ -5,8 +5,8 @@ from greenhouse_gym.common.executors.ray_executor import RayExecutor
 from greenhouse_gym.common.executors.spreading import (
     WorkerLostError,
     completed,
+    portable,
     processes,
-    require_portable,
     usable_cores,
     workers_of,
 )
@@ -18,8 +18,8 @@ __all__ = [
     "completed",
     "executor_for",
     "idle_cores",
+    "portable",
     "processes",
-    "require_portable",
     "usable_cores",
     "workers_of",
 ]
