@@ -46,7 +46,7 @@ COMMANDS: Mapping[str, str] = MappingProxyType(
         "watch": "watch straight-line --bank mini --out OUT/film.mp4",
     }
 )
-TIMED = (".html", ".png", "curve.csv", ".hdf5", "events.out.tfevents")
+TIMED = (".html", ".png", "curve.csv", "validation.csv", ".hdf5", "events.out.tfevents")
 """Endings and parts of the names of files that hold times, or pictures of them."""
 
 

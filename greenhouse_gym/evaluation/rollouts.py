@@ -22,9 +22,10 @@ from greenhouse_gym.agents.named import agent_of
 from greenhouse_gym.common.executors import WorkerLostError, completed, portable, workers_of
 from greenhouse_gym.common.own_code import described, printable
 from greenhouse_gym.common.progress import progress as progress_of
-from greenhouse_gym.envs import EnvSettings, make_vec_env
+from greenhouse_gym.envs import EnvSettings, GreenhouseVectorEnv, make_vec_env
 from greenhouse_gym.envs.choices import make_task
 from greenhouse_gym.errors import (
+    GreenhouseError,
     InvalidValueError,
     UnknownKeywordError,
     check_flag,
@@ -109,7 +110,8 @@ def evaluate(
     left = tuple((k, where) for k, where in enumerate(chosen) if k not in ended)
     choice = {key: own[key] for key in AGENTS_CHOICE if key in own}
     keywords = {**choice, **changed, **options, "split": split}
-    whole = _Part(asked, left, seed, num_envs, timeout, keywords, proven=bool(ended))
+    own_keys = tuple(own.keys() - options.keys())
+    whole = _Part(asked, left, seed, num_envs, timeout, keywords, own_keys, proven=bool(ended))
     rules = shown_rules(changed, asked.knows_truth)
     results = whole.records() if executor is None else _run_by(executor, whole)
     with progress_of(f"episodes of {asked.name}", len(chosen), progress) as on_progress:
@@ -259,6 +261,7 @@ class _Part:
         num_envs: Number of episodes run in parallel.
         timeout: See `evaluate`.
         keywords: Keywords of the environment.
+        own: Those of them that are the agent's.
         proven: The agent is known to give valid actions.
         workers: Number of processes that run such subsets; zero in this one.
     """
@@ -269,13 +272,13 @@ class _Part:
     num_envs: int
     timeout: float | None
     keywords: dict[str, Any]
+    own: tuple[str, ...]
     proven: bool = False
     workers: int = 0
 
     def records(self) -> Iterator[tuple[int, Record]]:
         """Yield indices and records of the episodes in the order in which they end."""
-        count = min(self.num_envs, max(1, len(self.chosen)))
-        env = make_vec_env(count, **self.keywords)
+        env = self._environment(min(self.num_envs, max(1, len(self.chosen))))
         try:
             runner = EpisodeRunner(
                 self.asked, env, deque(self.chosen), self.seed, self.timeout, self.proven, self.workers
@@ -283,6 +286,15 @@ class _Part:
             yield from ((result.episode_index, result.record) for result in runner.run())
         finally:
             env.close()
+
+    def _environment(self, count: int) -> GreenhouseVectorEnv:
+        try:
+            return make_vec_env(count, **self.keywords)
+        except GreenhouseError as error:
+            others = {name: value for name, value in self.keywords.items() if name not in self.own}
+            make_vec_env(count, **others).close()  # fails if it is not the agent's fault
+            shown = ", ".join(sorted(self.own))
+            raise AgentError(f"agent {self.asked.name!r}: its env_options ({shown}) cannot be used: {error}") from error
 
     def run(self) -> list[tuple[int, Record]]:
         """Return all indices and records."""
@@ -316,9 +328,9 @@ def _run_by(executor: Executor, whole: _Part) -> Iterator[tuple[int, Record]]:
     size = max(whole.num_envs, math.ceil(len(chosen) / (_PARTS * workers)))
     whole = replace(whole, chosen=(), proven=True, workers=0 if isinstance(executor, ThreadPoolExecutor) else workers)
     try:
-        packed = Deadline(whole.timeout).call(portable, executor, f"agent {name!r} with its options", whole)
-    except TimeoutError as error:
-        raise AgentError(f"agent {name!r}, pickled for another process, {error}") from error
+        packed = Deadline(whole.timeout).call(portable, executor, "with its options it", whole)
+    except (InvalidValueError, TimeoutError) as error:
+        raise AgentError(f"agent {name!r} cannot be sent to another process: {error}") from error
     batches = (chosen[k : k + size] for k in range(0, len(chosen), size))
     parts = (_Packed(packed, part, whole.timeout) if packed else replace(whole, chosen=part) for part in batches)
     try:

@@ -247,7 +247,7 @@ class EpisodeRunner:
         try:
             return Deadline(self._copying).call(copy.deepcopy, agent)
         except Exception as error:
-            raise InvalidValueError(
+            raise AgentError(
                 f"agent {self._asked.name!r} cannot be copied for each simulation ({describe(error)}); "
                 "give it a method act_many(observations), or use num_envs=1"
             ) from error

@@ -242,6 +242,19 @@ def test_an_agents_own_observation_or_action_ends_no_comparison(bank: SceneBank,
     assert [record.failure for record in still.records] == [""]
 
 
+@pytest.mark.parametrize(
+    "options", [{"observation": "none such"}, {"action": 3}, {"observation": ""}, {"action": lambda: None}], ids=str
+)
+def test_options_of_an_agent_that_cannot_be_used_end_no_comparison(bank: SceneBank, options: dict[str, Any]) -> None:
+    wanting = StillAgent()
+    wanting.env_options = options
+    lost, still = compare([wanting, StillAgent()], episodes=1, bank=bank, step_limit=2)
+    assert f"its env_options ({next(iter(options))}) cannot be used: " in lost.error
+    assert len(still.records) == 1
+    with pytest.raises(InvalidValueError, match="^step_limit"):  # of the caller
+        compare([wanting, StillAgent()], episodes=1, bank=bank, step_limit=-2)
+
+
 def test_work_in_an_agents_own_observation_counts_as_its_time(bank: SceneBank, monkeypatch: pytest.MonkeyPatch) -> None:
     clock = [0.0]
 
@@ -265,7 +278,7 @@ class Inimitable(StillAgent):
 
 def test_a_copy_that_never_ends_is_given_up(bank: SceneBank, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(runner, "GRACE", 0.1)
-    with pytest.raises(InvalidValueError, match=r"cannot be copied .*timed out after 0\.1 s"):
+    with pytest.raises(AgentError, match=r"cannot be copied .*timed out after 0\.1 s"):
         evaluate(Inimitable(), episodes=2, bank=bank, num_envs=2, timeout=0.1, step_limit=1)
 
 
@@ -387,7 +400,7 @@ def test_an_agent_that_ends_or_blocks_its_process_ends_no_comparison_in_processe
         *lost, leaving, still = compare(agents, episodes=4, bank=bank, step_limit=4, executor=executor, timeout=10.0)
     for agent, evaluation in zip(agents, lost, strict=False):
         departed = agent.name != HangingOnDeparture.name
-        told = ": a worker process ended" if departed else ", pickled for another process, timed out after 10 s"
+        told = ": a worker process ended" if departed else " cannot be sent to another process: timed out after 10 s"
         assert evaluation.error.startswith(f"agent '{agent.name}'{told}")
     assert [record.failure for record in (*leaving.records, *still.records)] == [""] * 8
 

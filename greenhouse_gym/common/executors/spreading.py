@@ -96,7 +96,7 @@ def portable(executor: Executor | None, what: str, thing: object) -> bytes:
     try:
         return bytes(getattr(executor, "dumps", pickle.dumps)(thing))
     except Exception as error:  # any part of the object may raise anything
-        raise InvalidValueError(f"{what} cannot be sent to another process ({error}); work without executor") from error
+        raise InvalidValueError(f"{what} cannot be pickled ({error}); work without executor") from error
 
 
 def workers_of(executor: Executor) -> int:
