@@ -43,7 +43,7 @@ VALIDATION_SEED = 10_000
 class Totals(NamedTuple):
     """Number of the episodes that ended, and sums over them."""
 
-    episodes: int = 0
+    episodes: float = 0.0
     successes: float = 0.0
     collisions: float = 0.0
     returns: float = 0.0
@@ -154,8 +154,8 @@ class TrainingReport(BaseCallback):  # type: ignore[misc]
         self.show(self.num_timesteps, self.note)
         for info in self.locals["infos"]:
             if "episode" in info:
-                ended = (1, info["is_success"], info["collision"], float(info["episode"]["r"]), info["episode"]["l"])
-                self.lines[-1] = summed([self.lines[-1], ended])
+                figures = (1, info["is_success"], info["collision"], info["episode"]["r"], info["episode"]["l"])
+                self.lines[-1] = summed([self.lines[-1], Totals(*map(float, figures))])
                 self.logger.record_mean("episodes/success_rate", float(info["is_success"]))
                 self.logger.record_mean("episodes/collision_rate", float(info["collision"]))
                 for name, value in info[TERMS].items():
