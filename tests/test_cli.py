@@ -172,7 +172,7 @@ def test_an_interrupted_reconstruction_goes_on_and_leaves_earlier_results_whole(
     assert untouched()
 
     with monkeypatch.context() as patched:
-        patched.setattr("greenhouse_gym.reporting.reconstruction_results.write_atomically", full)
+        patched.setattr("greenhouse_gym.reporting.report_page.write_atomically", full)
         assert "No space left" in str(fails("reconstruct", recording, "--out", tmp_path, *SMALL))
     assert untouched()
 

@@ -15,8 +15,8 @@ from mutants import damaged_arrays, damaged_bytes, damaged_json
 
 from greenhouse_gym.capture import Camera, Intrinsics, Recording, RgbdFrame, Rig, Station, open_recording
 from greenhouse_gym.capture.formats.own import INDEX, write_recording
-from greenhouse_gym.capture.truth_file import load_truth, save_truth
 from greenhouse_gym.crops import PlantRow
+from greenhouse_gym.crops.truth_shapes import load_truth, save_truth
 from greenhouse_gym.errors import GreenhouseError
 from greenhouse_gym.geometry import pose
 from greenhouse_gym.reconstruction import RowCloud, RowReport, StationReport, load_row, save_row

@@ -8,8 +8,7 @@ import cv2
 import numpy as np
 
 from greenhouse_gym.capture import Intrinsics, Recording, RgbdFrame, Station
-from greenhouse_gym.capture.formats.pairs import Lens, Pair
-from greenhouse_gym.capture.formats.single_camera import rig_of
+from greenhouse_gym.capture.formats.single_camera import Lens, Pair, rig_of
 from greenhouse_gym.errors import FileFormatError
 
 K = Intrinsics(320, 240, 250.0, 250.0, 159.5, 119.5)

@@ -26,8 +26,6 @@ from greenhouse_gym.accuracy import Visibility, compare_stems
 from greenhouse_gym.crops.parts import Stem, Tomato
 from greenhouse_gym.geometry import Array, Capsule, distance_to_shapes
 from greenhouse_gym.shapes import ShapeSettings, extract_shapes
-from greenhouse_gym.shapes.fruit import shell_features
-from greenhouse_gym.shapes.fruit.context_features import CONTEXT_FEATURES
 from greenhouse_gym.shapes.fruit.large_fruit import (
     Candidates,
     ScoredFruit,
@@ -37,12 +35,11 @@ from greenhouse_gym.shapes.fruit.large_fruit import (
     logistic,
 )
 from greenhouse_gym.shapes.fruit.small_fruit import SmallSpheres, confident_small, select_small, small_spheres
-from greenhouse_gym.shapes.fruit.sphere_features import SPHERE_FEATURES
+from greenhouse_gym.shapes.fruit.sphere_features import COLOR_FEATURES, CONTEXT_FEATURES, SPHERE_FEATURES
 from greenhouse_gym.shapes.networks import Network
 from greenhouse_gym.shapes.stems import peduncle_features
-from greenhouse_gym.shapes.stems.peduncle_classifier import with_context
 from greenhouse_gym.shapes.stems.peduncle_features import PeduncleCandidates, peduncle_candidates
-from greenhouse_gym.shapes.stems.traced_peduncles import trace_peduncles
+from greenhouse_gym.shapes.stems.traced_peduncles import trace_peduncles, with_context
 from training.fitting import (
     FOLDS,
     Labeled,
@@ -105,7 +102,7 @@ class SmallExample(NamedTuple):
         """Return the small spheres as in a cloud of one color without other fruit, with labels."""
         own = self.small.features.copy()
         own[:, [SPHERE_FEATURES.index(name) for name in ("contrast", "hue spread")]] = 0.0
-        own[:, len(SPHERE_FEATURES) + np.array(shell_features.COLOR_FEATURES)] = 0.0
+        own[:, len(SPHERE_FEATURES) + np.array(COLOR_FEATURES)] = 0.0
         features = np.column_stack([own, np.zeros((len(own), len(CONTEXT_FEATURES)))])
         return label_spheres(self.small.fits, features, self.true)
 

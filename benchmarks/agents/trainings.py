@@ -27,14 +27,7 @@ from greenhouse_gym.agents.agent import Agent
 from greenhouse_gym.agents.named import make_agent
 from greenhouse_gym.common.settings_files import resolve
 from greenhouse_gym.evaluation import evaluate
-from greenhouse_gym.learning import (
-    BcThenPpoSettings,
-    PpoSettings,
-    SacSettings,
-    train_bc_then_ppo,
-    train_ppo,
-    train_sac,
-)
+from greenhouse_gym.learning import BcThenPpoSettings, PpoSettings, SacSettings, train_bc_then_ppo, train_ppo, train_sac
 from greenhouse_gym.learning.training_files import CHECKPOINT, CURVE, VALIDATION, read_curve
 from greenhouse_gym.scene import SceneBank
 

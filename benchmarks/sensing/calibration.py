@@ -23,7 +23,7 @@ from greenhouse_gym.capture.boards import calibrate_from_boards
 from greenhouse_gym.capture.rig_file import Mounting
 from greenhouse_gym.crops import grow_row
 from greenhouse_gym.geometry import invert, pose, rotation_about, rotation_angle
-from greenhouse_gym.reconstruction.rig_from_overlap import calibrate_from_overlap
+from greenhouse_gym.reconstruction.calibration import calibrate_from_overlap
 
 sys.path.insert(0, str(TESTS / "capture"))
 from test_boards import BIAS, BOARD, shown, true_rig

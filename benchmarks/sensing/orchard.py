@@ -19,9 +19,9 @@ from greenhouse_gym.capture import Intrinsics
 from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.geometry.point_clouds import Cloud
-from greenhouse_gym.reconstruction.depth_normals import image_normals
+from greenhouse_gym.reconstruction.station_views import image_normals
 from greenhouse_gym.shapes import RowShapes
-from greenhouse_gym.shapes.colors import redness
+from greenhouse_gym.shapes.surface_cloud import redness
 
 CAMERA = Intrinsics(1920, 1080, 917.123, 916.965, 957.721, 550.789)
 

@@ -7,9 +7,8 @@ import numpy as np
 from greenhouse_gym.capture import CaptureSettings, Recording, StereoDropout, StereoNoise
 from greenhouse_gym.geometry import invert
 from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud
-from greenhouse_gym.reconstruction.merging import find_outliers, merge_stations
 from greenhouse_gym.reconstruction.report import RowReport
-from greenhouse_gym.reconstruction.row_cloud import remove_outliers
+from greenhouse_gym.reconstruction.row_cloud import find_outliers, merge_stations, remove_outliers
 from greenhouse_gym.reconstruction.station_views import Calibration, station_view
 
 NOISE_FREE = CaptureSettings(

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from greenhouse_gym.capture import Intrinsics
 from greenhouse_gym.common.open3d_loader import open3d
 from greenhouse_gym.geometry import Array, invert, pose, transform
-from greenhouse_gym.reconstruction.depth_normals import image_normals
+from greenhouse_gym.reconstruction.station_views import image_normals
 
 KINECT = Intrinsics(640, 480, 525.0, 525.0, 319.5, 239.5)
 

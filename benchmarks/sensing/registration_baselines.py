@@ -15,9 +15,8 @@ import numpy.typing as npt
 from greenhouse_gym.capture import Recording, Rig, Station
 from greenhouse_gym.common.open3d_loader import open3d
 from greenhouse_gym.geometry import Array, invert, pose, transform
-from greenhouse_gym.reconstruction.foreground import foreground_mask
+from greenhouse_gym.reconstruction.foreground import along, best_shifts, foreground_mask, overlapping_parts
 from greenhouse_gym.reconstruction.pair_registration import row_axis
-from greenhouse_gym.reconstruction.silhouette_shift import along, best_shifts, overlapping_parts
 
 FOREGROUND = 0.60  # m, the paper's cut
 STEP = 0.10  # m along the row, nominal

@@ -9,28 +9,21 @@ import io
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from benchmarks.common import fingerprint
 from benchmarks.sensing import perfect_clouds
-from benchmarks.sensing.drawn_cultivars import drawn_cultivar
 from benchmarks.sensing.perfect_clouds import NOISE_FREE, perfect_cloud
 from greenhouse_gym import accuracy, capture, crops, geometry, reconstruction
 from greenhouse_gym.accuracy import Visibility, VisibleRow, align, visible_row
-from greenhouse_gym.capture import (
-    SEED_RIG,
-    Light,
-    Recording,
-    open_recording,
-    simulate_recording,
-    write_recording,
-)
+from greenhouse_gym.capture import SEED_RIG, Light, Recording, open_recording, simulate_recording, write_recording
 from greenhouse_gym.capture.formats.own import INDEX
 from greenhouse_gym.capture.simulated import CaptureSettings, tripod_poses
 from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.crops import DEVELOPMENT_CULTIVARS, HELD_OUT_CULTIVARS, STYLES, PlantRow, grow_row
+from greenhouse_gym.crops.cultivars import RED, Cultivar
 from greenhouse_gym.geometry import Array, invert
 from greenhouse_gym.reconstruction import RowCloud, load_row, reconstruct_row, save_row
 from greenhouse_gym.scene.obstacles import Shapes
@@ -62,6 +55,9 @@ LIGHTS = {
 
 
 _CAPTURED = (geometry, crops, capture)
+
+_SMALL = 0.35
+"""Fraction of cultivars with cherry tomatoes."""
 
 
 @dataclass(frozen=True)
@@ -174,3 +170,49 @@ def visible_of(row: Row, workdir: Path) -> VisibleRow:
         write_atomically(pieces, Shapes(stems=visible.stems, clutter=visible.clutter).model_dump_json())
     shapes = Shapes.model_validate_json(pieces.read_bytes())
     return VisibleRow(Visibility(*np.load(fractions)), shapes.stems, shapes.clutter)
+
+
+def drawn_cultivar(seed: int) -> Cultivar:
+    """Sample a cultivar: fruit from cherry to beefsteak, flat to long, with more or less foliage.
+
+    Sizes, counts and colors lie within published ranges; the deviation of colors from `RED` is a guess.
+    """
+    rng = np.random.default_rng([seed, 77])
+    fruit = _fruit(rng)
+    form = str(rng.choice(["oblate", "round", "long"], p=[0.35, 0.4, 0.25]))
+    aspect = {"oblate": rng.uniform(0.65, 0.85), "round": rng.uniform(0.86, 1.0), "long": rng.uniform(1.15, 1.5)}[form]
+    skin = tuple(_shade(color, rng) for color in RED)
+    leaf_area, curl, stem = (float(rng.uniform(*ends)) for ends in ((1.0, 2.3), (-0.6, -0.15), (0.0038, 0.0065)))
+    peduncle = float(rng.uniform(0.0011, 0.0016))
+    side_shoots, ribs = float(rng.uniform(0.0, 0.15)), float(rng.uniform(0.0, 0.12 if form == "oblate" else 0.03))
+    return Cultivar(
+        model=str(rng.choice(["tomato", "cherrytomato"])),
+        **fruit,
+        aspect=(float(aspect), float(aspect) + 0.13),
+        ribs=(0.4 * ribs, ribs),
+        skin=skin,
+        rachis=float(rng.uniform(0.11, 0.20)),
+        peduncle_radius=(peduncle, 1.45 * peduncle),
+        stem_radius=(stem, stem + 0.003),
+        leaf_area=leaf_area,
+        leaf_redness=(-0.33, -0.05),
+        leaf_curl=(curl, curl + 0.27),
+        leaf_width=float(rng.uniform(0.42, 0.68)),
+        bare_below=float(rng.uniform(1.0, 1.25)),
+        side_shoots=side_shoots,
+    )
+
+
+def _fruit(rng: np.random.Generator) -> dict[str, Any]:
+    """Sample the number of fruits on a truss and their diameter."""
+    small = rng.random() < _SMALL
+    middle = float(np.exp(rng.uniform(*np.log((0.022, 0.034) if small else (0.034, 0.088)))))
+    spread = rng.uniform(0.10, 0.20)
+    low = int(rng.integers(7, 11) if small else rng.integers(2, 5))
+    count = (low, low + int(rng.integers(4, 10) if small else rng.integers(1, 4)))
+    return {"diameter": (middle * (1 - spread), middle * (1 + spread)), "count": count}
+
+
+def _shade(color: tuple[float, float, float], rng: np.random.Generator) -> tuple[float, float, float]:
+    red, green, blue = np.clip(np.array(color) * (1 + rng.normal(0, 0.06, 3)), 0.03, 0.95).tolist()
+    return red, green, blue

@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 from greenhouse_gym.accuracy import VisibleRow
 from greenhouse_gym.build.scenes import BuildSettings
 from greenhouse_gym.crops import PlantRow
-from greenhouse_gym.crops.plant_row import STEM_LINE
+from greenhouse_gym.crops.crop import STEM_LINE
 from greenhouse_gym.geometry import Array, Box, Capsule, Ellipsoid, Shape, Sphere, distance_to_shapes, pose, transformed
 from greenhouse_gym.motion.collision import CollisionChecker
 from greenhouse_gym.robots import get_robot

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import cKDTree
 
 from benchmarks.common import table
 from greenhouse_gym.accuracy import (
@@ -20,7 +21,9 @@ from greenhouse_gym.accuracy import (
     pool_tomatoes,
 )
 from greenhouse_gym.crops.parts import STEM_KINDS, Tomato
-from greenhouse_gym.geometry import Array
+from greenhouse_gym.geometry import Array, Box, distance_to_shapes
+from greenhouse_gym.shapes import RowShapes
+from greenhouse_gym.shapes.evidence import nearest_shapes
 
 SMALL = 0.012
 """Radius below which fruit counts as small, m."""
@@ -31,6 +34,47 @@ VISIBILITIES = ("all", "whole", "measured", "colored")
 
 Record = Mapping[str, Any]
 Figures = dict[str, Any]
+
+_NUMBER, _PERCENT, _MM, _SECONDS = "{:.3f}", "{:.1%}", "{:.2f} mm", "{:.2f} s"
+_GOALS = (
+    ("tomatoes: F1", ">= 0.96", "tomatoes/all/f1", _NUMBER),
+    ("green tomatoes: F1", ">= 0.92", "tomatoes/ripeness/green/f1", _NUMBER),
+    ("tomatoes visible at 30 % of their silhouette: F1", "", "tomatoes/whole/f1", _NUMBER),
+    ("green ones of these: F1", "", "tomatoes/whole green/f1", _NUMBER),
+    ("tomatoes with skin in the cloud: F1", "", "tomatoes/measured/f1", _NUMBER),
+    ("tomatoes that color shows, with depth or without: F1", "", "tomatoes/colored/f1", _NUMBER),
+    ("tomato center, median", "<= 2.5 mm", "tomatoes/all/center_error_median", _MM),
+    ("tomato center, median, unaligned", "", "tomatoes/center_error_median_unaligned", _MM),
+    ("tomato center, 95 %", "<= 10 mm", "tomatoes/all/center_error_95", _MM),
+    ("tomato diameter, median", "<= 2 %", "tomatoes/all/diameter_error_median", _PERCENT),
+    ("trusses exactly right", ">= 85 %", "trusses/right", _PERCENT),
+    ("trusses right, counting these", "", "trusses/right_whole", _PERCENT),
+    ("trusses right, counting tomatoes in the cloud", "", "trusses/right_measured", _PERCENT),
+    ("main stems: recall", ">= 0.95", "stems/main/recall", _NUMBER),
+    ("main stems: recall as main stems", "", "stems/main/recall_as_such", _NUMBER),
+    ("main stems: false", "<= 0.05", "stems/main/false", _NUMBER),
+    ("main stem axis, median", "<= 4 mm", "stems/main/axis_error_median", _MM),
+    ("main stem radius, median", "<= 10 %", "stems/main/radius_error_median", _PERCENT),
+    ("stem axis of any kind, median", "<= 4 mm", "stems/all/axis_error_median", _MM),
+    ("stem radius of any kind, median", "<= 10 %", "stems/all/radius_error_median", _PERCENT),
+    ("peduncles and pedicels: recall", ">= 0.80", "stems/peduncle and pedicel/recall", _NUMBER),
+    ("points within 8 mm of a shape", ">= 99 %", "coverage", _PERCENT),
+    ("surface beyond 15 mm of the truth", "<= 5 %", "excess", _PERCENT),
+    ("collides in the visible truth if free in shapes", "<= 2 %", "collisions/missed_fraction", _PERCENT),
+    ("collides in the shapes if free in the truth", "<= 5 %", "collisions/invented_fraction", _PERCENT),
+    ("primitives per scene, mean", "<= 300", "primitives/mean", "{:.0f}"),
+    ("primitives per scene, maximum", "", "primitives/maximum", "{}"),
+    ("fruit below 24 mm: F1", ">= 0.80", "small_tomatoes/f1", _NUMBER),
+    ("true ones among confidence >= 0.8", ">= 90 %", "calibration/sure_and_true", _PERCENT),
+    ("found fruit with its front in a box", "<= 1 %", "boxes/fronts_inside", _PERCENT),
+    ("surface of boxes beyond 15 mm of all points", "<= 15 %", "boxes/empty_surface", _PERCENT),
+    ("points beyond 15 mm of all shapes", "<= 3 %", "boxes/points_left_out", _PERCENT),
+    ("time per metre", "<= 6 s", "seconds_per_metre", _SECONDS),
+    ("processor time per metre", "", "processor_seconds_per_metre", _SECONDS),
+)  # fmt: skip
+
+FAR = 0.015
+"""Distance from all points at which a box's surface is empty, and from all shapes at which a point is left out, m."""
 
 
 def is_true(true: Sequence[Tomato], found: Sequence[Tomato]) -> npt.NDArray[np.bool_]:
@@ -152,45 +196,6 @@ def calibration(records: Sequence[Sequence[Sequence[Any]]], bins: int = 5) -> Fi
     }
 
 
-_NUMBER, _PERCENT, _MM, _SECONDS = "{:.3f}", "{:.1%}", "{:.2f} mm", "{:.2f} s"
-_GOALS = (
-    ("tomatoes: F1", ">= 0.96", "tomatoes/all/f1", _NUMBER),
-    ("green tomatoes: F1", ">= 0.92", "tomatoes/ripeness/green/f1", _NUMBER),
-    ("tomatoes visible at 30 % of their silhouette: F1", "", "tomatoes/whole/f1", _NUMBER),
-    ("green ones of these: F1", "", "tomatoes/whole green/f1", _NUMBER),
-    ("tomatoes with skin in the cloud: F1", "", "tomatoes/measured/f1", _NUMBER),
-    ("tomatoes that color shows, with depth or without: F1", "", "tomatoes/colored/f1", _NUMBER),
-    ("tomato center, median", "<= 2.5 mm", "tomatoes/all/center_error_median", _MM),
-    ("tomato center, median, unaligned", "", "tomatoes/center_error_median_unaligned", _MM),
-    ("tomato center, 95 %", "<= 10 mm", "tomatoes/all/center_error_95", _MM),
-    ("tomato diameter, median", "<= 2 %", "tomatoes/all/diameter_error_median", _PERCENT),
-    ("trusses exactly right", ">= 85 %", "trusses/right", _PERCENT),
-    ("trusses right, counting these", "", "trusses/right_whole", _PERCENT),
-    ("trusses right, counting tomatoes in the cloud", "", "trusses/right_measured", _PERCENT),
-    ("main stems: recall", ">= 0.95", "stems/main/recall", _NUMBER),
-    ("main stems: recall as main stems", "", "stems/main/recall_as_such", _NUMBER),
-    ("main stems: false", "<= 0.05", "stems/main/false", _NUMBER),
-    ("main stem axis, median", "<= 4 mm", "stems/main/axis_error_median", _MM),
-    ("main stem radius, median", "<= 10 %", "stems/main/radius_error_median", _PERCENT),
-    ("stem axis of any kind, median", "<= 4 mm", "stems/all/axis_error_median", _MM),
-    ("stem radius of any kind, median", "<= 10 %", "stems/all/radius_error_median", _PERCENT),
-    ("peduncles and pedicels: recall", ">= 0.80", "stems/peduncle and pedicel/recall", _NUMBER),
-    ("points within 8 mm of a shape", ">= 99 %", "coverage", _PERCENT),
-    ("surface beyond 15 mm of the truth", "<= 5 %", "excess", _PERCENT),
-    ("collides in the visible truth if free in shapes", "<= 2 %", "collisions/missed_fraction", _PERCENT),
-    ("collides in the shapes if free in the truth", "<= 5 %", "collisions/invented_fraction", _PERCENT),
-    ("primitives per scene, mean", "<= 300", "primitives/mean", "{:.0f}"),
-    ("primitives per scene, maximum", "", "primitives/maximum", "{}"),
-    ("fruit below 24 mm: F1", ">= 0.80", "small_tomatoes/f1", _NUMBER),
-    ("true ones among confidence >= 0.8", ">= 90 %", "calibration/sure_and_true", _PERCENT),
-    ("found fruit with its front in a box", "<= 1 %", "boxes/fronts_inside", _PERCENT),
-    ("surface of boxes beyond 15 mm of all points", "<= 15 %", "boxes/empty_surface", _PERCENT),
-    ("points beyond 15 mm of all shapes", "<= 3 %", "boxes/points_left_out", _PERCENT),
-    ("time per metre", "<= 6 s", "seconds_per_metre", _SECONDS),
-    ("processor time per metre", "", "processor_seconds_per_metre", _SECONDS),
-)  # fmt: skip
-
-
 def tables(figures: Mapping[str, Figures]) -> str:
     """Return a table of all figures with their goals, one of tomatoes and one of stems, for every cause."""
     goals = [(name, goal, *(_text(own, path, form) for own in figures.values())) for name, goal, path, form in _GOALS]
@@ -241,3 +246,36 @@ def _quantile(values: Sequence[float] | Array, at: float) -> float:
 
 def _mean(values: Any) -> float:
     return float(np.mean(values)) if len(values) else float("nan")
+
+
+def box_figures(shapes: RowShapes, points: Array) -> dict[str, float]:
+    """Measure the boxes among a row's shapes against its points (n, 3); world frame, x away from the aisle."""
+    tree = cKDTree(points)
+    empty = total = 0.0
+    for box in shapes.clutter:
+        surface, areas = box_surface(box)
+        far = np.isinf(tree.query(surface, distance_upper_bound=FAR)[0])
+        empty, total = empty + float(areas[far].sum()), total + float(areas.sum())
+    fronts = np.array([t.center - [t.radius, 0.0, 0.0] for t in shapes.tomatoes]).reshape(-1, 3)
+    inside = len(fronts) and len(shapes.clutter) and (distance_to_shapes(fronts, shapes.clutter) < 0).any(axis=1).mean()
+    return {
+        "empty_surface": empty / max(total, 1e-9),
+        "points_left_out": float((nearest_shapes(points[::5], shapes.shapes, FAR).owner < 0).mean()),
+        "fronts_inside": float(inside),
+    }
+
+
+def box_surface(box: Box, spacing: float = 0.01) -> tuple[Array, Array]:
+    """Return evenly spaced points (n, 3) on a box's faces and the area (n,) that each represents."""
+    points, areas = [], []
+    for axis in range(3):
+        others = [k for k in range(3) if k != axis]
+        counts = [max(1, int(np.ceil(2 * box.half_extents[k] / spacing))) for k in others]
+        ticks = [(2 * np.arange(n) + 1) / n - 1 for n in counts]
+        u, v = (grid.ravel() for grid in np.meshgrid(*ticks))
+        for side in (-1.0, 1.0):
+            local = np.zeros((len(u), 3))
+            local[:, axis], local[:, others[0]], local[:, others[1]] = side, u, v
+            points.append(box.center + (local * box.half_extents) @ box.rotation.T)
+            areas.append(np.full(len(u), 4 * np.prod(box.half_extents[others]) / len(u)))
+    return np.concatenate(points), np.concatenate(areas)

@@ -49,19 +49,9 @@ from benchmarks.common import (
     write_results,
 )
 from benchmarks.sensing import perfect_clouds, shape_collisions
-from benchmarks.sensing.rows import (
-    BARE,
-    CAUSES,
-    HELD_OUT_MESHES,
-    Row,
-    cloud_of,
-    recording_of,
-    truth_of,
-    visible_of,
-)
-from benchmarks.sensing.shape_boxes import box_figures
+from benchmarks.sensing.rows import BARE, CAUSES, HELD_OUT_MESHES, Row, cloud_of, recording_of, truth_of, visible_of
 from benchmarks.sensing.shape_collisions import compare_collisions
-from benchmarks.sensing.shape_figures import is_true, pooled, small_tomatoes, tables
+from benchmarks.sensing.shape_figures import box_figures, is_true, pooled, small_tomatoes, tables
 from greenhouse_gym import accuracy, build, capture, crops, reconstruction, robots, scene
 from greenhouse_gym import shapes as shapes_package
 from greenhouse_gym.accuracy import StemComparison, TomatoComparison

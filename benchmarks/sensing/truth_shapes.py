@@ -18,7 +18,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from benchmarks.common import RESULTS, parser, write_results
-from benchmarks.sensing.shape_boxes import box_surface
+from benchmarks.sensing.shape_figures import box_surface
 from greenhouse_gym.build.scenes import BuildSettings
 from greenhouse_gym.crops import CULTIVARS, PlantRow, grow_row
 from greenhouse_gym.crops.organs import THIN_KINDS, Organ

@@ -7,15 +7,15 @@ from greenhouse_gym.accuracy.clouds import (
     Drift,
     ReconstructedRow,
     align,
+    completeness,
     distance_to_surface,
     distance_to_truth,
     drift,
     place,
     place_by_windows,
+    visible_surface,
 )
-from greenhouse_gym.accuracy.completeness import completeness, visible_surface
-from greenhouse_gym.accuracy.cover import coverage, excess
-from greenhouse_gym.accuracy.skin_points import skin_points
+from greenhouse_gym.accuracy.cover import coverage, excess, skin_points
 from greenhouse_gym.accuracy.stems import StemComparison, compare_stems, pool_stems
 from greenhouse_gym.accuracy.tomatoes import (
     OCCLUSION_BANDS,

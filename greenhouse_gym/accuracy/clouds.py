@@ -1,4 +1,4 @@
-"""Drift of the stations, and distance from a cloud to the true surfaces, as a whole or metre by metre.
+"""Drift of the stations, distance from a cloud to the true surfaces, and completeness of the cloud.
 
 The true surfaces are the triangles that the simulated cameras see; they lie within 0.2 mm of the analytic shapes.
 """
@@ -9,9 +9,11 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from greenhouse_gym.capture.raycast import RowRaycaster
+from greenhouse_gym.capture.rig import Intrinsics, RgbdFrame, Rig
 from greenhouse_gym.common.open3d_loader import open3d
 from greenhouse_gym.crops import PlantRow
 from greenhouse_gym.geometry import Array, invert, pose, transform
@@ -19,6 +21,11 @@ from greenhouse_gym.geometry import Array, invert, pose, transform
 _WINDOW = 1.0  # m, longest window of the row that is aligned by itself
 _WINDOW_SAMPLES, _ROW_SAMPLES = 3000, 6000  # approximate numbers of points that are aligned
 _ITERATIONS = 30
+
+_FOREGROUND = 0.60  # m, the usual cut
+_VOXEL = 0.004  # m, side of the cubes that get one point each
+_SKIP = 2  # pixels between rays in either direction
+_WITHIN = 0.005  # m
 
 
 class ReconstructedRow(Protocol):
@@ -160,3 +167,54 @@ def _align(caster: RowRaycaster, start: Array, points: Array) -> Array:
         if np.abs(step).max() < 1e-6:
             break
     return world_from_points
+
+
+def visible_surface(truth: PlantRow, rig: Rig, world_from_station: Array) -> Array:
+    """Return points (n, 3) in the world, evenly spread over the true surface that a recording could show.
+
+    Every camera views the true row without noise. Surface within the cut along the rig's forward axis from the
+    reference camera counts, once regardless of the number of cameras that see it.
+
+    Args:
+        truth: The grown row.
+        rig: The cameras.
+        world_from_station: (stations, 4, 4) true poses.
+    """
+    caster = RowRaycaster.of(truth)
+    front = rig.cameras[rig.reference].rig_from_camera[0, 3] + _FOREGROUND
+    stations = []
+    for station_pose in world_from_station:
+        seen = []
+        for camera in rig.cameras.values():
+            intrinsics = _every(camera.intrinsics, _SKIP)
+            view = caster.render(station_pose @ camera.rig_from_camera, intrinsics)
+            frame = RgbdFrame(view.color, np.where(np.isfinite(view.depth), view.depth, 0), intrinsics)
+            in_rig = transform(camera.rig_from_camera, frame.points())
+            seen.append(transform(station_pose, in_rig[in_rig[:, 0] < front]))
+        stations.append(_one_per_cube(np.concatenate(seen), _VOXEL))
+    return _one_per_cube(np.concatenate(stations), _VOXEL)
+
+
+def completeness(points: Array, surface: Array) -> float:
+    """Return the fraction of surface points (n, 3) with a cloud point (k, 3) within 5 mm, in the same frame."""
+    distance, _ = cKDTree(points).query(surface, distance_upper_bound=_WITHIN)
+    return float(np.isfinite(distance).mean())
+
+
+def _every(k: Intrinsics, skip: int) -> Intrinsics:
+    """Return the camera with one pixel for every ``skip`` x ``skip`` pixels."""
+    return Intrinsics(
+        k.width // skip,
+        k.height // skip,
+        k.fx / skip,
+        k.fy / skip,
+        (k.cx + 0.5) / skip - 0.5,
+        (k.cy + 0.5) / skip - 0.5,
+    )
+
+
+def _one_per_cube(points: Array, size: float) -> Array:
+    """Return the first point in each occupied cube of the world's grid."""
+    cubes = np.floor(points / size).astype(np.int64) + (1 << 20)
+    keys = (cubes[:, 0] << 42) | (cubes[:, 1] << 21) | cubes[:, 2]
+    return points[np.sort(np.unique(keys, return_index=True)[1])]

@@ -1,14 +1,29 @@
-"""Coverage of a cloud by shapes, and excess of shapes over the true surface."""
+"""Coverage of a cloud by shapes, and excess of shapes over the true surface; points on the skin of each tomato."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 import numpy as np
+import numpy.typing as npt
+from scipy.spatial import cKDTree
 
 from greenhouse_gym.accuracy.clouds import distance_to_surface
 from greenhouse_gym.crops import PlantRow
-from greenhouse_gym.geometry import Array, Box, Capsule, Ellipsoid, Shape, Sphere, distance_to_nearest, frame_along
+from greenhouse_gym.crops.parts import Tomato
+from greenhouse_gym.geometry import (
+    Array,
+    Box,
+    Capsule,
+    Ellipsoid,
+    Shape,
+    Sphere,
+    bounding_balls,
+    distance_to_nearest,
+    distance_to_shapes,
+    frame_along,
+)
+from greenhouse_gym.geometry.point_clouds import Cloud
 
 COVERED_WITHIN = 0.008
 """Largest distance from a shape at which a point counts as covered, metres."""
@@ -17,6 +32,12 @@ EXCESS_BEYOND = 0.015
 """Distance from every true surface beyond which a shape's surface counts as excess, metres."""
 
 _SAMPLES = 20_000  # points of a cloud, or on all surfaces
+
+_ON_SKIN = 0.003
+"""Largest distance of a skin point from a tomato's surface, metres, given the noise of a depth camera."""
+
+_MIN_COSINE = 0.5
+"""Smallest cosine between a skin point's normal and the direction away from the tomato's center."""
 
 
 def coverage(points: Array, shapes: Sequence[Shape]) -> float:
@@ -90,3 +111,22 @@ def _on_surface(shape: Shape, count: int, rng: np.random.Generator) -> Array:
     local = np.where(on_side[:, None], side, ends)
     frame = frame_along(shape.end - shape.start) if length > 1e-9 else np.eye(3)
     return np.asarray((shape.start + shape.end) / 2 + local @ frame.T)
+
+
+def skin_points(cloud: Cloud, tomatoes: Sequence[Tomato]) -> npt.NDArray[np.int64]:
+    """Count the points (k,) of a cloud that are skin of each tomato: on its surface and facing outwards.
+
+    Args:
+        cloud: Points with normals, in the tomatoes' frame.
+        tomatoes: The k tomatoes.
+    """
+    tree = cKDTree(cloud.points)
+    counts = np.zeros(len(tomatoes), dtype=np.int64)
+    for k, tomato in enumerate(tomatoes):
+        reach = float(bounding_balls([tomato.shape])[1][0]) + _ON_SKIN
+        near = np.array(tree.query_ball_point(tomato.center, reach), dtype=np.int64)
+        away = cloud.points[near] - tomato.center
+        outwards = (away * cloud.normals[near]).sum(axis=1) > _MIN_COSINE * np.linalg.norm(away, axis=1)
+        on = np.abs(distance_to_shapes(cloud.points[near], [tomato.shape])[:, 0]) < _ON_SKIN
+        counts[k] = np.count_nonzero(on & outwards)
+    return counts

@@ -27,9 +27,9 @@ from greenhouse_gym.envs.simulation import Simulation
 from greenhouse_gym.envs.state import STEP_LIMIT, State
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.plants.layout import Crate
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import Scene
+from greenhouse_gym.scene.plants.layout import Crate
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,10 +25,10 @@ from greenhouse_gym.agents.rehearsal import Action, Rehearsal
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.planning import plan
-from greenhouse_gym.plants.live import CRATED, HANGING
-from greenhouse_gym.plants.live_scene import LiveScene
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import Scene
+from greenhouse_gym.scene.plants.live import CRATED, HANGING
+from greenhouse_gym.scene.plants.live_scene import LiveScene
 
 BUDGET = 1500
 """Number of actions that are rehearsed for a fruit at most."""

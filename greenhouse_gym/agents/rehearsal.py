@@ -14,9 +14,9 @@ from greenhouse_gym.envs.actions import CommandLimits
 from greenhouse_gym.envs.state import control_timing
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.plants.live import HANGING, LOOSE, LivePlants
-from greenhouse_gym.plants.live_scene import LiveScene, live_scene
 from greenhouse_gym.robots.kinematics import Chain, tool_chain
+from greenhouse_gym.scene.plants.live import HANGING, LOOSE, LivePlants
+from greenhouse_gym.scene.plants.live_scene import LiveScene, live_scene
 
 Action = npt.NDArray[np.float32]
 
@@ -98,7 +98,7 @@ class Rehearsal:
         return tool_chain(compiled.model, compiled.tip_site)
 
     def scene(self, leaves: bool, around_crate: float = 0.0) -> LiveScene:
-        """Return the true scene as it is now, see `greenhouse_gym.plants.live_scene.live_scene`."""
+        """Return the true scene as it is now, see `greenhouse_gym.scene.plants.live_scene.live_scene`."""
         return live_scene(self.plants, self._physics.simulation(0).world.compiled, leaves, around_crate)
 
     @property

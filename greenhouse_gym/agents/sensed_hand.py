@@ -18,10 +18,10 @@ from greenhouse_gym.envs.tasks.harvest import TomatoHarvest
 from greenhouse_gym.geometry import Array, rotation_about
 from greenhouse_gym.motion.arm_spheres import arm_spheres
 from greenhouse_gym.motion.unknown_space import guarded
-from greenhouse_gym.plants.mechanics import GRAVITY, PlantMechanics
 from greenhouse_gym.rendering.cameras import MAX_RANGE, DepthCamera
 from greenhouse_gym.robots.kinematics import tool_chain, tool_state
 from greenhouse_gym.scene.mjcf import base_position
+from greenhouse_gym.scene.plants.mechanics import GRAVITY, PlantMechanics
 
 _EVERY = 2  # actions from one image to the next that is read
 _LOOSE, _ACTIONS = 0.5, 2  # a fruit is off that pulls with less than this fraction of its weight for so many actions

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from greenhouse_gym.capture.fingerprint import fingerprint
-from greenhouse_gym.capture.recordings import Recording
-from greenhouse_gym.common.setting_checks import check_numbers
+from greenhouse_gym.capture.recordings import Recording, fingerprint
+from greenhouse_gym.common.settings_files import check_numbers
 from greenhouse_gym.crops import PlantRow
 from greenhouse_gym.crops.parts import Stem
 from greenhouse_gym.crops.shape_tables import ShapeParts, as_tables, from_tables, select_near, transform_tables

@@ -3,14 +3,27 @@
 from greenhouse_gym.capture.formats import RecordingFormat, open_recording, recording_formats
 from greenhouse_gym.capture.formats.own import write_recording
 from greenhouse_gym.capture.formats.single_camera import single_camera
-from greenhouse_gym.capture.frames import RgbdFrame, Station
 from greenhouse_gym.capture.light import Light
 from greenhouse_gym.capture.protocols import PROTOCOLS, CaptureProtocol, get_protocol, join_passes, simulate_protocol
 from greenhouse_gym.capture.recordings import Recording
-from greenhouse_gym.capture.rig import D435_DEPTH, SEED_RIG, Camera, Intrinsics, Rig, three_camera_rig
-from greenhouse_gym.capture.sensor import StereoDropout, StereoNoise, sense_depth
+from greenhouse_gym.capture.rig import (
+    D435_DEPTH,
+    SEED_RIG,
+    Camera,
+    Intrinsics,
+    RgbdFrame,
+    Rig,
+    Station,
+    three_camera_rig,
+)
+from greenhouse_gym.capture.sensor import (
+    StereoDropout,
+    StereoNoise,
+    TimeOfFlightNoise,
+    sense_depth,
+    sense_time_of_flight,
+)
 from greenhouse_gym.capture.simulated import CaptureSettings, simulate_recording
-from greenhouse_gym.capture.time_of_flight import TimeOfFlightNoise, sense_time_of_flight
 
 __all__ = [
     "D435_DEPTH",

@@ -10,8 +10,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from greenhouse_gym.capture.frames import RgbdFrame, Station
-from greenhouse_gym.capture.rig import Intrinsics, Rig
+from greenhouse_gym.capture.rig import Intrinsics, RgbdFrame, Rig, Station
 from greenhouse_gym.capture.rig_file import Mounting
 from greenhouse_gym.common.extras import needs
 from greenhouse_gym.errors import InvalidValueError

@@ -9,9 +9,8 @@ from itertools import combinations, permutations
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.capture.frames import RgbdFrame, Station
 from greenhouse_gym.capture.recordings import Recording
-from greenhouse_gym.capture.rig import Rig
+from greenhouse_gym.capture.rig import RgbdFrame, Rig, Station
 from greenhouse_gym.capture.station_selection import motion, sharpness
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.geometry import invert, transform

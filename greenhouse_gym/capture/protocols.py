@@ -16,11 +16,10 @@ from types import MappingProxyType
 
 import numpy as np
 
-from greenhouse_gym.capture.frames import Station
 from greenhouse_gym.capture.recordings import Pass, Recording
-from greenhouse_gym.capture.rig import SEED_RIG, Rig, three_camera_rig
+from greenhouse_gym.capture.rig import SEED_RIG, Rig, Station, three_camera_rig
 from greenhouse_gym.capture.simulated import CaptureSettings, simulate_recording
-from greenhouse_gym.crops.plant_row import STEM_LINE, PlantRow
+from greenhouse_gym.crops.crop import STEM_LINE, PlantRow
 from greenhouse_gym.errors import InvalidValueError, require_choice
 from greenhouse_gym.geometry import pose
 

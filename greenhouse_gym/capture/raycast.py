@@ -9,12 +9,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.capture.light import Light, Skin, shade
-from greenhouse_gym.capture.organ_meshes import mesh_of
+from greenhouse_gym.capture.light import Light, Skin, mesh_of, shade
 from greenhouse_gym.capture.rig import Intrinsics
 from greenhouse_gym.common.open3d_loader import open3d
 from greenhouse_gym.crops import Palette, PlantRow
-from greenhouse_gym.crops.plant_row import GUTTER_COLOR
+from greenhouse_gym.crops.crop import GUTTER_COLOR
 from greenhouse_gym.geometry import Array, Box, Capsule, Ellipsoid, Shape, frame_along, invert
 
 _BACKGROUND = (0.75, 0.80, 0.82)

@@ -12,10 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from greenhouse_gym.capture.formats.pairs import Lens, Pair
-from greenhouse_gym.capture.formats.single_camera import CAMERA, RIG_FROM_CAMERA
-from greenhouse_gym.capture.frames import RgbdFrame, Station
-from greenhouse_gym.capture.rig import Camera, Intrinsics, Rig
+from greenhouse_gym.capture.formats.single_camera import CAMERA, RIG_FROM_CAMERA, Lens, Pair
+from greenhouse_gym.capture.rig import Camera, Intrinsics, RgbdFrame, Rig, Station
 from greenhouse_gym.common.extras import needs
 from greenhouse_gym.errors import CameraError, FileFormatError
 from greenhouse_gym.geometry import pose

@@ -15,10 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.capture.formats.own import RecordingWriter
-from greenhouse_gym.capture.frames import RgbdFrame, Station
 from greenhouse_gym.capture.image_files import encode_png
 from greenhouse_gym.capture.inspection import plant_mask, station_faults
-from greenhouse_gym.capture.rig import Rig
+from greenhouse_gym.capture.rig import RgbdFrame, Rig, Station
 from greenhouse_gym.capture.station_selection import Odometer, sharpness
 from greenhouse_gym.common.files import write_atomically
 

@@ -1,7 +1,8 @@
-"""Recordings of any format, and what their readers share: images and poses of files, checked."""
+"""Recordings of any format, and what their readers share: images and poses of files, checked; and checksums."""
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,12 +12,14 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field, FiniteFloat
 
-from greenhouse_gym.capture.frames import RgbdFrame, Station, size_text
 from greenhouse_gym.capture.image_files import read_color, read_depth
-from greenhouse_gym.capture.rig import Camera, Rig
-from greenhouse_gym.crops.plant_row import PlantRow
+from greenhouse_gym.capture.rig import Camera, RgbdFrame, Rig, Station, size_text
+from greenhouse_gym.common.files import parsing
+from greenhouse_gym.crops.crop import PlantRow
 from greenhouse_gym.errors import FileFormatError, InvalidValueError
 from greenhouse_gym.geometry import Array, is_pose
+
+_BLOCK = 2**20  # bytes
 
 
 @dataclass(frozen=True)
@@ -111,3 +114,57 @@ def checked_pose(file: Path, label: str, matrix: npt.ArrayLike) -> Array:
     except ValueError:
         pass
     raise FileFormatError(file, f"{label} is not a 4x4 pose: {matrix!r}")
+
+
+def fingerprint(recording: Recording, contents: bool = True) -> str:
+    """Return a checksum of a recording's cameras and images, in any format.
+
+    Args:
+        recording: The recording. Of one that is not on disk, the first and the last station are hashed.
+        contents: Hash the contents of its files, so that a copy has the same fingerprint; otherwise their sizes and
+            times, which is fast and reveals changes as well.
+
+    Raises:
+        FileFormatError: A file of the recording cannot be read.
+    """
+    passes = [(one.first, one.lift) for one in recording.passes]
+    header = f"{len(recording)} {recording.protocol} {passes} {recording.truth is None}"
+    checksum = hashlib.sha256(f"{header} {recording.rig.reference}".encode())
+    for name, camera in recording.rig.cameras.items():
+        checksum.update(f"\n{name} {camera.intrinsics} {camera.depth_scale!r}".encode())
+        checksum.update(camera.rig_from_camera.tobytes())
+    for part in _files(recording, contents) if recording.folder else _images(recording):
+        checksum.update(part)
+    return checksum.hexdigest()
+
+
+def _files(recording: Recording, contents: bool) -> Iterator[bytes]:
+    """Yield the name of each file, relative to the folder, and its content, or its size and time."""
+    assert recording.folder is not None
+    files = recording.files or tuple(sorted(path for path in recording.folder.rglob("*") if path.is_file()))
+    for path in files:
+        name = path.relative_to(recording.folder) if path.is_relative_to(recording.folder) else path
+        yield f"\n{name} ".encode()
+        if not path.is_file():
+            yield b"missing"  # costs its station, not the recording
+        elif contents:
+            with parsing(path, "file of a recording"), path.open("rb") as file:
+                checksum = hashlib.sha256()
+                while block := file.read(_BLOCK):
+                    checksum.update(block)
+                yield checksum.digest()
+        else:
+            status = path.stat()
+            yield f"{status.st_size} {status.st_mtime_ns}".encode()
+
+
+def _images(recording: Recording) -> Iterator[bytes]:
+    for i in sorted({0, len(recording) - 1}):
+        try:
+            station = recording[i]
+        except FileFormatError:
+            continue
+        for name, frame in station.frames.items():
+            yield name.encode()
+            yield frame.color.tobytes()
+            yield frame.depth.tobytes()

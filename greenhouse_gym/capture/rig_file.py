@@ -15,9 +15,8 @@ from typing import Annotated
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from greenhouse_gym.capture.frames import RgbdFrame, Station
 from greenhouse_gym.capture.recordings import Recording, checked_pose
-from greenhouse_gym.capture.rig import Rig
+from greenhouse_gym.capture.rig import RgbdFrame, Rig, Station
 from greenhouse_gym.common.extras import needs
 from greenhouse_gym.common.files import parsing, read_bytes, write_atomically
 from greenhouse_gym.errors import FileFormatError, InvalidValueError

@@ -10,20 +10,20 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from greenhouse_gym.capture.frames import RgbdFrame, Station
 from greenhouse_gym.capture.light import Light, draw_light
 from greenhouse_gym.capture.raycast import RowRaycaster, View
 from greenhouse_gym.capture.recordings import Recording
-from greenhouse_gym.capture.rig import SEED_RIG, Rig
+from greenhouse_gym.capture.rig import SEED_RIG, RgbdFrame, Rig, Station
 from greenhouse_gym.capture.sensor import (
     StereoDropout,
     StereoNoise,
+    TimeOfFlightNoise,
     draw_biases,
     dropout_probability,
     mix_edges,
     sense_depth,
+    sense_time_of_flight,
 )
-from greenhouse_gym.capture.time_of_flight import TimeOfFlightNoise, sense_time_of_flight
 from greenhouse_gym.crops import PlantRow
 from greenhouse_gym.errors import check_whole, require_seed
 from greenhouse_gym.geometry import Array, pose, rotation_about

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.capture.frames import RgbdFrame, Station
 from greenhouse_gym.capture.recordings import Recording
+from greenhouse_gym.capture.rig import RgbdFrame, Station
 from greenhouse_gym.common.extras import needs
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.geometry import Array

@@ -105,7 +105,7 @@ def watch(
 @policy_app.command("list")
 def list_policies() -> None:
     """List the shipped policies."""
-    from greenhouse_gym.cli.listing import policy_table
+    from greenhouse_gym.cli.doctor import policy_table
 
     policy_table().show()
 

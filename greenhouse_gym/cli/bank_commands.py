@@ -22,7 +22,7 @@ app = typer.Typer(help="List, inspect, check, filter, compose and export banks o
 @app.command("list")
 def list_banks() -> None:
     """List the shipped banks."""
-    from greenhouse_gym.cli.listing import bank_table
+    from greenhouse_gym.cli.doctor import bank_table
 
     bank_table().show()
 

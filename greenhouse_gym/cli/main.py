@@ -15,17 +15,14 @@ from greenhouse_gym import __version__
 from greenhouse_gym.cli import (
     agent_commands,
     bank_commands,
-    cloud_commands,
     comparison_commands,
-    live_recording,
     planning_commands,
     reconstruction_commands,
     recording_commands,
     training_commands,
 )
 from greenhouse_gym.cli.demo import demo
-from greenhouse_gym.cli.doctor import doctor
-from greenhouse_gym.cli.listing import list_names
+from greenhouse_gym.cli.doctor import doctor, list_names
 from greenhouse_gym.errors import GreenhouseError
 
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode="markdown")
@@ -47,12 +44,12 @@ _COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
     },
     "From recordings to scenes": {
         "simulate": recording_commands.simulate,
-        "record": live_recording.record,
+        "record": recording_commands.record,
         "import": recording_commands.import_,
         "formats": recording_commands.formats,
         "calibrate": recording_commands.calibrate,
         "reconstruct": reconstruction_commands.reconstruct,
-        "shapes": cloud_commands.shapes,
+        "shapes": reconstruction_commands.shapes,
         "build": reconstruction_commands.build,
     },
     "Banks and policies": {

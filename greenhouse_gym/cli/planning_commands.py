@@ -167,7 +167,7 @@ def brush(
     seed: Annotated[int, typer.Option(help="Seed of the goal searches and planners.")] = 0,
 ) -> None:
     """Rate the targets of a bank with leaves that give way too, and write a new bank; resumes an interrupted run."""
-    from greenhouse_gym.planning.brush_ratings import brush_bank
+    from greenhouse_gym.planning.rated_banks import brush_bank
     from greenhouse_gym.robots import get_robot
     from greenhouse_gym.scene import SceneBank
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import base64
+import binascii
 import io
+import lzma
 import math
 import zipfile
 from typing import Any
@@ -10,7 +13,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from greenhouse_gym.errors import InvalidValueError
+
 _SMALL, _MAX_RATIO = 2**28, 20  # unpacked bytes that any file may have, and per packed byte of a larger one
+
+_FILTERS: list[dict[str, int]] = [{"id": lzma.FILTER_LZMA2, "preset": 6, "dict_size": 2**20, "lc": 0, "pb": 0}]
+"""Without literal context and alignment, since neighboring bytes are unrelated. A small dictionary is cheap to read."""
+
+_MAX_MEMORY = 2**24
+"""Memory that reading a text may take, bytes."""
 
 
 def read_arrays(content: bytes, max_bytes: int) -> dict[str, npt.NDArray[Any]]:
@@ -46,3 +57,25 @@ def read_array(content: bytes) -> npt.NDArray[Any]:
         raise ValueError(f"{dtype} of shape {shape} is not what {len(content) - file.tell()} bytes hold")
     file.seek(0)
     return np.asarray(np.lib.format.read_array(file, allow_pickle=False))
+
+
+def compress(data: bytes) -> str:
+    """Compress bytes to text."""
+    packed = lzma.compress(data, format=lzma.FORMAT_XZ, check=lzma.CHECK_CRC32, filters=_FILTERS)
+    return base64.b64encode(packed).decode("ascii")
+
+
+def decompress(text: Any, size: int) -> bytes:
+    """Return the bytes of `compress`; at most ``size`` bytes are unpacked.
+
+    Raises:
+        InvalidValueError: The text is damaged or does not hold exactly ``size`` bytes.
+    """
+    try:
+        unpacker = lzma.LZMADecompressor(format=lzma.FORMAT_XZ, memlimit=_MAX_MEMORY)
+        data = unpacker.decompress(base64.b64decode(text, validate=True), size + 1)
+    except (binascii.Error, ValueError, TypeError, lzma.LZMAError, EOFError) as error:
+        raise InvalidValueError(f"damaged data: {error}") from error
+    if len(data) != size or not unpacker.eof:
+        raise InvalidValueError(f"damaged data: expected {size} bytes, got {len(data)} or an unfinished stream")
+    return data

@@ -1,6 +1,6 @@
 """Crops: rows of plants with known truth, as analytic shapes or as meshes grown by Helios."""
 
-from greenhouse_gym.crops.crop import Crop, Growth, PlantMotion
+from greenhouse_gym.crops.crop import Crop, Growth, Palette, PlantMotion, PlantRow
 from greenhouse_gym.crops.cultivars import (
     CULTIVARS,
     DEVELOPMENT_CULTIVARS,
@@ -10,7 +10,6 @@ from greenhouse_gym.crops.cultivars import (
     FruitStyle,
 )
 from greenhouse_gym.crops.organs import Organ
-from greenhouse_gym.crops.plant_row import Palette, PlantRow
 from greenhouse_gym.crops.tomato import SOURCES, TOMATO, grow_row
 
 __all__ = [

@@ -11,9 +11,7 @@ from itertools import count, pairwise
 
 import numpy as np
 
-from greenhouse_gym.crops.cultivars import FruitStyle
-from greenhouse_gym.crops.parts import Stem, Tomato
-from greenhouse_gym.crops.plant_row import (
+from greenhouse_gym.crops.crop import (
     GUTTER_HEIGHT,
     HIGHEST_TRUSS,
     LOWEST_TRUSS,
@@ -23,6 +21,8 @@ from greenhouse_gym.crops.plant_row import (
     WIRE_HEIGHT,
     PlantRow,
 )
+from greenhouse_gym.crops.cultivars import FruitStyle
+from greenhouse_gym.crops.parts import Stem, Tomato
 from greenhouse_gym.geometry import Array, Box, Capsule, Shape, Sphere
 
 BARE_BELOW = 1.35

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from greenhouse_gym.crops.plant_row import Color
+from greenhouse_gym.crops.crop import Color
 
 RED: tuple[Color, ...] = ((0.50, 0.56, 0.30), (0.74, 0.64, 0.24), (0.86, 0.44, 0.14), (0.76, 0.11, 0.08))
 """Skin at ripeness 0, 1/3, 2/3 and 1: from green with redness -0.06, close to photographs (-0.03), to red."""

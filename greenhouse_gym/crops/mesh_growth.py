@@ -13,13 +13,7 @@ from itertools import count
 
 import numpy as np
 
-from greenhouse_gym.crops.cultivars import Cultivar
-from greenhouse_gym.crops.foliage import SHOOT_LEAVES_PER_METRE, grow_frond, grow_shoot, leaf_palette
-from greenhouse_gym.crops.helios import Vine, grow_vine
-from greenhouse_gym.crops.mesh_trusses import TrussNode, grow_mesh_truss
-from greenhouse_gym.crops.organs import Organ, stems_of, tube_organ
-from greenhouse_gym.crops.parts import Tomato
-from greenhouse_gym.crops.plant_row import (
+from greenhouse_gym.crops.crop import (
     GUTTER_COLOR,
     GUTTER_HEIGHT,
     HIGHEST_TRUSS,
@@ -30,6 +24,18 @@ from greenhouse_gym.crops.plant_row import (
     WIRE_HEIGHT,
     PlantRow,
 )
+from greenhouse_gym.crops.cultivars import Cultivar
+from greenhouse_gym.crops.helios import Vine, grow_vine
+from greenhouse_gym.crops.mesh_organs import (
+    SHOOT_LEAVES_PER_METRE,
+    TrussNode,
+    grow_frond,
+    grow_mesh_truss,
+    grow_shoot,
+    leaf_palette,
+)
+from greenhouse_gym.crops.organs import Organ, stems_of, tube_organ
+from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.errors import GrowthError
 from greenhouse_gym.geometry import Array
 
@@ -116,9 +122,8 @@ def _grow_row(traits: _RowTraits, number: int, length: float, x: float) -> Plant
         rng = np.random.default_rng(seed)
         y = -0.5 + rng.uniform(0, 0.2)
         while y <= length + 0.5:
-            plant = next(plants)
             base = np.array([x + line * LINE_SPACING + rng.uniform(-0.03, 0.03), y, GUTTER_HEIGHT])
-            grown, fruits = _grow_plant(traits, [traits.seed, number, plant], base, plant, len(tomatoes))
+            grown, fruits = _grow_plant(traits, [traits.seed, number, next(plants)], base, len(tomatoes))
             organs += grown
             tomatoes += fruits
             y += rng.uniform(*PLANT_SPACING)
@@ -140,9 +145,7 @@ def _fixtures(x: float, length: float) -> list[Organ]:
     return [*organs, Organ("gutter", vertices, triangles, np.tile(GUTTER_COLOR, (12, 1)))]
 
 
-def _grow_plant(
-    traits: _RowTraits, seed: list[int], base: Array, plant: int, first_fruit: int
-) -> tuple[list[Organ], list[Tomato]]:
+def _grow_plant(traits: _RowTraits, seed: list[int], base: Array, first_fruit: int) -> tuple[list[Organ], list[Tomato]]:
     """Grow one plant; its tomatoes are numbered from ``first_fruit`` within the row."""
     rng = np.random.default_rng(seed)
     cultivar, vine = traits.cultivar, traits.vines[seed[2] % len(traits.vines)]
@@ -150,8 +153,8 @@ def _grow_plant(
     axis, string = _axes(rng, base, rng.uniform(*cultivar.stem_radius), cultivar.winding)
     stem_color = np.array(_STEM_COLOR) * rng.uniform(0.9, 1.1)
     organs = [
-        tube_organ("main", axis, stem_color, plant, around=12),
-        tube_organ("string", string, _STRING_COLOR, plant, around=5),
+        tube_organ("main", axis, stem_color, around=12),
+        tube_organ("string", string, _STRING_COLOR, around=5),
     ]
     tomatoes: list[Tomato] = []
     offset, twist, first_frond = rng.uniform(0, spacing), rng.uniform(0, 2 * np.pi), int(rng.integers(0, 1000))
@@ -164,7 +167,7 @@ def _grow_plant(
             break
         azimuth = np.pi + own.normal(0, 0.7)  # pickers turn trusses to the aisle
         age = (flowering - height) / (flowering - FIRST_RED)
-        place = TrussNode(_at(axis, height), azimuth, plant, 100 * plant + j, first_fruit + len(tomatoes))
+        place = TrussNode(_at(axis, height), azimuth, 100 * seed[2] + j, first_fruit + len(tomatoes))
         grown, fruits = grow_mesh_truss(np.random.default_rng([*seed, j, 1]), vine, cultivar, traits.aspect, place, age)
         organs += grown
         tomatoes += fruits
@@ -175,11 +178,11 @@ def _grow_plant(
             own = np.random.default_rng([*seed, j, 2 + leaf])
             frond = vine.fronds[(first_frond + node) % len(vine.fronds)]
             size = traits.leaf_size * float(_youth(np.array(here))) * own.uniform(0.88, 1.12)
-            organs += grow_frond(own, frond, _at(axis, here), twist + 2.4 * node, size, palette, plant)
+            organs += grow_frond(own, frond, _at(axis, here), twist + 2.4 * node, size, palette)
             if own.random() < cultivar.side_shoots:
                 shoot = own.uniform(*cultivar.shoot_length)
                 foot, turn = _at(axis, here), twist + 2.4 * node + own.normal(0, 0.3)
-                organs += grow_shoot(own, vine, foot, turn, shoot, SHOOT_LEAF * size, palette, stem_color, plant)
+                organs += grow_shoot(own, vine, foot, turn, shoot, SHOOT_LEAF * size, palette, stem_color)
     return organs, tomatoes
 
 

@@ -34,7 +34,6 @@ class Organ:
         vertices: (v, 3) metres.
         triangles: (t, 3) indices of vertices.
         colors: (t, 3) red, green and blue from 0 to 1 under white light.
-        plant: Number of the plant within the row; -1 for fixtures.
         truss: Number of the truss it belongs to, or None.
         fruit: Index into the row's tomatoes, or None.
         axis: (k, 4) points on the axis of a tube and its radius there, metres, or None.
@@ -44,7 +43,6 @@ class Organ:
     vertices: Array
     triangles: npt.NDArray[np.int64]
     colors: Array
-    plant: int = -1
     truss: int | None = None
     fruit: int | None = None
     axis: Array | None = None
@@ -149,10 +147,9 @@ def tube_organ(
     kind: OrganKind,
     axis: Array,
     color: Array | tuple[float, float, float],
-    plant: int = -1,
     truss: int | None = None,
     around: int = 8,
 ) -> Organ:
     """Return an organ that is a tube along an axis (k, 4) of points and radii, in one color (3,)."""
     vertices, triangles = tube(axis, around)
-    return Organ(kind, vertices, triangles, np.tile(color, (len(triangles), 1)), plant, truss, None, axis)
+    return Organ(kind, vertices, triangles, np.tile(color, (len(triangles), 1)), truss, None, axis)

@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from greenhouse_gym.crops.analytic_growth import grow_analytic_row
-from greenhouse_gym.crops.crop import Crop
+from greenhouse_gym.crops.crop import STEM_LINE, Crop, PlantRow
 from greenhouse_gym.crops.cultivars import CULTIVARS, STYLES, Cultivar
 from greenhouse_gym.crops.mesh_growth import grow_mesh_row
-from greenhouse_gym.crops.plant_row import STEM_LINE, PlantRow
 from greenhouse_gym.errors import UnknownNameError, require_choice
 
 DEFAULT_STYLE = "cluster"

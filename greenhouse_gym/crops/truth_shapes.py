@@ -1,17 +1,26 @@
-"""Convex shapes of plant organs to collide with; leaves, thin bent lobed surfaces, are cut into thin boxes."""
+"""Convex shapes of plant organs to collide with; leaves, thin bent lobed surfaces, are cut into thin boxes.
+
+The ground truth of a simulated recording is one ``.npz`` file of such shapes as tables, without pickles.
+"""
 
 from __future__ import annotations
 
+import io
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
+from greenhouse_gym.common.array_files import read_arrays
+from greenhouse_gym.common.files import parsing, read_bytes, write_atomically
+from greenhouse_gym.crops.crop import PlantRow
 from greenhouse_gym.crops.organs import THIN_KINDS, Organ
-from greenhouse_gym.crops.plant_row import PlantRow
+from greenhouse_gym.crops.shape_tables import ShapeTables, as_tables, from_tables
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array, Box, Capsule, Shape
 
@@ -25,6 +34,10 @@ _MIN_HALF = 0.0005  # minimum half thickness of a box, metres
 _CUTS = (-0.4, -0.2, 0.0, 0.2, 0.4)  # positions of cuts, in half extents of the box from its center
 _SAMPLES = 300  # approximate number of points by which the best cut is chosen
 _ANGLES = np.arange(24) * np.pi / 48  # radians, directions of a box's longer sides in its plane
+
+TRUTH = "truth.npz"
+MAX_BYTES = 50_000_000  # that such a file may unpack to; a row of 5 m takes about one million
+_BEHIND = "behind_"
 
 
 @lru_cache(maxsize=4)
@@ -149,3 +162,46 @@ def _fits(box: Box, tree: cKDTree, tolerance: float, max_off: float) -> bool:
     faces = np.concatenate([np.column_stack([u, v, np.full(len(u), side * box.half_extents[2])]) for side in (-1, 1)])
     distance, _ = tree.query(box.center + faces @ box.rotation.T, distance_upper_bound=tolerance)
     return bool(np.isinf(distance).mean() <= max_off)
+
+
+def save_truth(row: PlantRow, path: str | Path) -> Path:
+    """Write the collision shapes of a row and of the one behind it."""
+    truth = truth_of(row)
+    arrays: dict[str, Array] = {"size": np.array([truth.length, float(truth.week)])}
+    for prefix, part in (("", truth), (_BEHIND, truth.behind)):
+        if part is not None:
+            tables = as_tables(part.tomatoes, part.stems, part.clutter)
+            arrays |= {prefix + name: table for name, table in zip(ShapeTables._fields, tables, strict=True)}
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, allow_pickle=False, **arrays)
+    return write_atomically(path, buffer.getvalue())
+
+
+def load_truth(path: str | Path) -> PlantRow | None:
+    """Read a row that `save_truth` wrote; None if the file does not exist.
+
+    Raises:
+        FileFormatError: The file is damaged.
+    """
+    if not Path(path).is_file():
+        return None
+    with parsing(path, "truth of a recording"):
+        arrays = read_arrays(read_bytes(path, "truth"), MAX_BYTES)
+        length, week = _floats(arrays["size"], 1)
+        row = PlantRow(*_parts(arrays, ""), length=float(length), week=int(week))
+        if _BEHIND + ShapeTables._fields[0] in arrays:
+            row = replace(row, behind=PlantRow(*_parts(arrays, _BEHIND), length=row.length, week=row.week))
+        if not (row.length > 0 and row.week >= 0):
+            raise InvalidValueError(f"expected a positive length and a week from 0 up, got {row.length}, {row.week}")
+    return row
+
+
+def _parts(arrays: Mapping[str, Array], prefix: str) -> tuple[tuple, tuple, tuple]:  # type: ignore[type-arg]
+    parts = from_tables(ShapeTables(*(_floats(arrays[prefix + name], 2) for name in ShapeTables._fields)))
+    return parts.tomatoes, parts.stems, parts.clutter
+
+
+def _floats(array: Array, dimensions: int) -> Array:
+    if array.dtype != np.float64 or array.ndim != dimensions or not np.isfinite(array).all():
+        raise InvalidValueError(f"expected finite float64 numbers, got {array.dtype} of shape {array.shape}")
+    return array

@@ -17,9 +17,9 @@ from greenhouse_gym.envs.state import ControlTiming, Ids
 from greenhouse_gym.envs.world import World
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.plants.layout import CRATE_BOXES, Layout, SlotIds
-from greenhouse_gym.plants.live import Felt, LivePlants
 from greenhouse_gym.scene.geom_order import ShortGeomLists, compiled_geom_id, put_arm_first, put_world_first
+from greenhouse_gym.scene.plants.layout import CRATE_BOXES, Layout, SlotIds
+from greenhouse_gym.scene.plants.live import Felt, LivePlants
 
 _FRUIT, _STEM, _LEAF, _FIXTURE, _SELF = range(len(CONTACT_GROUPS))
 _PRESSED = (_FRUIT, _STEM)  # groups that a pressing force damages

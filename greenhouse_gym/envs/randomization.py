@@ -12,7 +12,7 @@ import numpy as np
 from greenhouse_gym.crops.crop import PlantMotion
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.plants.mechanics import VARYING
+from greenhouse_gym.scene.plants.mechanics import VARYING
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Randomization:
         joint_offset: Error of the observed joint positions, radians per joint.
         target_position: Error of the observed target position along each axis, metres.
         depth_noise: Depth images have the noise of a D435.
-        mechanics: Relative change, below 1, of each of `greenhouse_gym.plants.mechanics.VARYING`, for
+        mechanics: Relative change, below 1, of each of `greenhouse_gym.scene.plants.mechanics.VARYING`, for
             ``plants="compliant"``.
         plants: Motion of the true plants since the scan, for ``physics="truth"``; None for none. The scene that agents
             observe and plan in stays as it was scanned.
@@ -68,7 +68,7 @@ class Disturbance(NamedTuple):
         target: (3,) error added to the observed target, metres.
         noise: Generator of the depth noise, or None.
         plants: Seed of the plants' motion, or None.
-        mechanics: (k,) factors of `greenhouse_gym.plants.mechanics.VARYING`.
+        mechanics: (k,) factors of `greenhouse_gym.scene.plants.mechanics.VARYING`.
     """
 
     shift: Array

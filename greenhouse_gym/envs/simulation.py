@@ -30,10 +30,10 @@ from greenhouse_gym.envs.world import capacity_of
 from greenhouse_gym.envs.worlds import shared_worlds
 from greenhouse_gym.errors import InvalidValueError, NoEpisodeError
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.plants.layout import Layout
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import CompiledScene, Scene
 from greenhouse_gym.scene.mjcf import TIMESTEP
+from greenhouse_gym.scene.plants.layout import Layout
 from greenhouse_gym.scene.truth import without_plants
 
 STEP_INFOS = ("previous_goal", "effort")

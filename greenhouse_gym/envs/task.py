@@ -21,9 +21,9 @@ from greenhouse_gym.envs.features import FEATURES, Feature
 from greenhouse_gym.envs.rewards import REWARDS, Reward
 from greenhouse_gym.envs.state import STEP_LIMIT, Bools, State
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.plants.layout import Layout
-from greenhouse_gym.plants.mechanics import PlantMechanics
 from greenhouse_gym.rendering.cameras import DepthCamera
+from greenhouse_gym.scene.plants.layout import Layout
+from greenhouse_gym.scene.plants.mechanics import PlantMechanics
 
 if TYPE_CHECKING:
     from greenhouse_gym.envs.views import View

@@ -12,9 +12,8 @@ import numpy.typing as npt
 from greenhouse_gym.envs.setups import Setup
 from greenhouse_gym.geometry import Array, invert, transform
 from greenhouse_gym.rendering.cameras import CameraRig, DepthCamera, scene_from_bases
-from greenhouse_gym.rendering.depth_reading import DepthReading, perfect_reading, stereo_reading
+from greenhouse_gym.rendering.depth_reading import DepthReading, perfect_reading, stereo_reading, visible_fractions
 from greenhouse_gym.rendering.raycaster import RayCaster
-from greenhouse_gym.rendering.visibility import visible_fractions
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,11 +14,11 @@ from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.leaf_contacts import LeafContacts
 from greenhouse_gym.motion.roadmap import SceneRoadmaps
-from greenhouse_gym.plants.slots import Planted
-from greenhouse_gym.plants.topology import Topology, topology_of
 from greenhouse_gym.scene import CompiledScene, Scene, SceneBank, compile_scene
 from greenhouse_gym.scene.geom_order import first_world_geom
 from greenhouse_gym.scene.mjcf import DEFAULT_CAPACITY, MAX_CAPACITY
+from greenhouse_gym.scene.plants.slots import Planted
+from greenhouse_gym.scene.plants.topology import Topology, topology_of
 from greenhouse_gym.scene.truth import known_scene
 
 _ROUND = 100

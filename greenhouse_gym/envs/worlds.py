@@ -21,14 +21,14 @@ from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array, invert, pose, rotation_about, transform
 from greenhouse_gym.motion.collision import LEAVES
 from greenhouse_gym.motion.distance_field import FieldStore
-from greenhouse_gym.plants.layout import Layout
-from greenhouse_gym.plants.mechanics import PlantMechanics
-from greenhouse_gym.plants.slots import plant
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import CompiledScene, Scene, Shapes, compile_scene
 from greenhouse_gym.scene.mjcf import MAX_CAPACITY, base_position, make_yielding
 from greenhouse_gym.scene.obstacles import Surroundings
 from greenhouse_gym.scene.plant_motion import move_plants
+from greenhouse_gym.scene.plants.layout import Layout
+from greenhouse_gym.scene.plants.mechanics import PlantMechanics
+from greenhouse_gym.scene.plants.slots import plant
 from greenhouse_gym.scene.truth import true_scene
 
 CACHED = LARGEST_WHOLE

@@ -1,6 +1,6 @@
 """Evaluation of agents: episode runner, records, comparison and leaderboard."""
 
-from greenhouse_gym.evaluation.asking import AgentError
+from greenhouse_gym.evaluation.deadline import AgentError
 from greenhouse_gym.evaluation.records import Evaluation, Evaluations, Record, comparison_table, wilson_interval
 from greenhouse_gym.evaluation.rollouts import Trace, compare, evaluate, retrace
 from greenhouse_gym.motion.clearance import CLEARANCE_RANGE

@@ -1,19 +1,22 @@
-"""Calls of foreign code with limits on time and memory."""
+"""Calls of foreign code with limits on time and memory, and the questions of an evaluation, which are asked once."""
 
 from __future__ import annotations
 
 import ctypes
 import os
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
 from functools import partial
 from queue import Empty, SimpleQueue
 from threading import TIMEOUT_MAX, Thread
-from typing import ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
-from greenhouse_gym.common.own_code import describe
-from greenhouse_gym.errors import InvalidValueError, is_number
+from greenhouse_gym.agents.agent import Agent, knows_truth
+from greenhouse_gym.agents.named import agent_of
+from greenhouse_gym.common.own_code import describe, printable
+from greenhouse_gym.errors import GreenhouseError, InvalidValueError, is_number
 
 _FREE = nullcontext()
 _SECONDS_TO_END = 1.0
@@ -125,3 +128,53 @@ class Watchdog:
 
     def __exit__(self, *_: object) -> None:
         self._set(0.0)
+
+
+class AgentError(GreenhouseError, RuntimeError):
+    """Raised for an agent that fails before its first valid action."""
+
+
+def never_acted(name: str, seed: int, failure: str) -> AgentError:
+    """Return the error for an agent that failed before its first action."""
+    return AgentError(f"agent {name!r} failed before its first action (seed {seed}): {failure}")
+
+
+@dataclass(frozen=True)
+class AskedAgent:
+    """An agent, and its answers to the questions of an evaluation.
+
+    Attributes:
+        agent: The agent.
+        name: Its name.
+        env_options: Keywords of the environment that it needs.
+        knows_truth: True if it declares that it knows the truth.
+        acts_on_many: True if it has a method ``act_many``.
+    """
+
+    agent: Agent
+    name: str
+    env_options: Mapping[str, Any]
+    knows_truth: bool
+    acts_on_many: bool
+
+    @classmethod
+    def of(cls, agent: Agent | str) -> AskedAgent:
+        """Ask an agent, or an agent by name.
+
+        Raises:
+            InvalidValueError: It is not an agent.
+            AgentError: It fails to answer.
+        """
+        agent = agent_of(agent)
+
+        def asked() -> AskedAgent:
+            name, options = printable(str.__str__(agent.name)), dict(agent.env_options)  # of subclasses, too
+            return cls(agent, name, options, knows_truth(agent), hasattr(agent, "act_many"))
+
+        try:
+            return Deadline().call(asked)
+        except Exception as error:
+            kind = type(agent).__name__
+            raise AgentError(
+                f"agent {kind} failed to say its name, env_options or knows_truth: {describe(error)}"
+            ) from error

@@ -17,7 +17,7 @@ from greenhouse_gym.common.tables import Table, number
 from greenhouse_gym.crops.crop import PlantMotion
 from greenhouse_gym.envs import Randomization
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.evaluation.asking import AskedAgent
+from greenhouse_gym.evaluation.deadline import AskedAgent
 from greenhouse_gym.evaluation.entry import V1, Entry, Protocol, columns_of, follows, is_current, read_entry
 from greenhouse_gym.evaluation.journal import RecordJournal, checksum_of, package_versions
 from greenhouse_gym.evaluation.records import Evaluation, Record

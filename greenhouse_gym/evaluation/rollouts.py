@@ -33,8 +33,7 @@ from greenhouse_gym.errors import (
     check_whole,
     require_seed,
 )
-from greenhouse_gym.evaluation.asking import AgentError, AskedAgent, never_acted
-from greenhouse_gym.evaluation.deadline import Deadline, Watchdog
+from greenhouse_gym.evaluation.deadline import AgentError, AskedAgent, Deadline, Watchdog, never_acted
 from greenhouse_gym.evaluation.journal import RecordJournal
 from greenhouse_gym.evaluation.records import Evaluation, Evaluations, Record
 from greenhouse_gym.evaluation.runner import GRACE, EpisodeRunner

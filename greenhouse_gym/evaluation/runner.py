@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from greenhouse_gym.agents.agent import Agent, Problem
-from greenhouse_gym.common.memory import MemoryLimit
+from greenhouse_gym.common.isolation import MemoryLimit
 from greenhouse_gym.common.own_code import describe, printable
 from greenhouse_gym.envs import GreenhouseVectorEnv
 from greenhouse_gym.envs.actions import check_actions
@@ -23,8 +23,7 @@ from greenhouse_gym.envs.contacts import NAME_SEPARATOR
 from greenhouse_gym.envs.observations import Observed, select
 from greenhouse_gym.envs.simulation import Simulation
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.evaluation.asking import AgentError, AskedAgent, never_acted
-from greenhouse_gym.evaluation.deadline import Deadline, Watchdog
+from greenhouse_gym.evaluation.deadline import AgentError, AskedAgent, Deadline, Watchdog, never_acted
 from greenhouse_gym.evaluation.records import Record
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.clearance import smallest_clearance

@@ -1,21 +1,29 @@
-"""Shapes of a scene as named primitives with poses, the input of every export format."""
+"""Shapes of a scene as named primitives with poses, the input of every export format, and as triangle meshes."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
-from typing import Literal, NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
+import numpy as np
 from scipy.spatial.transform import Rotation
 
 from greenhouse_gym.crops.parts import Stem, Tomato
 from greenhouse_gym.geometry import Array, Box, Capsule, Ellipsoid, Shape, frame_along, pose
 from greenhouse_gym.scene.obstacles import Shapes
 
+if TYPE_CHECKING:
+    from trimesh import Trimesh
+
+
 Kind = Literal["sphere", "ellipsoid", "capsule", "cylinder", "box"]
 Color = tuple[float, float, float]
 
 RED, GREEN_FRUIT, STEM, CLUTTER = (0.85, 0.13, 0.10), (0.45, 0.60, 0.20), (0.33, 0.48, 0.20), (0.25, 0.50, 0.22)
+
+FINENESS = 2
+"""Subdivisions of round shapes: a sphere has 20 * 4**2 triangles, a cylinder 4 * 2**2 corners around its axis."""
 
 
 class Primitive(NamedTuple):
@@ -107,3 +115,51 @@ def without_ellipsoids(primitive: Primitive) -> Primitive:
     if primitive.kind != "ellipsoid":
         return primitive
     return primitive._replace(kind="sphere", size=(max(primitive.size),))
+
+
+def mesh_of(primitive: Primitive, fineness: int = FINENESS) -> Trimesh:
+    """Return a primitive as a closed mesh in its world's frame, with vertices on its surface and triangles outward."""
+    from trimesh import creation  # takes a second
+
+    around = 4 * 2**fineness
+    if primitive.kind == "box":
+        mesh = creation.box(2 * np.array(primitive.size))
+    elif primitive.kind in ("sphere", "ellipsoid"):
+        mesh = creation.icosphere(fineness)
+        mesh.vertices *= primitive.size
+    elif primitive.kind == "capsule":
+        radius, length = primitive.size
+        mesh = creation.capsule(length, radius, count=[around // 2, around])
+    else:
+        radius, length = primitive.size
+        mesh = creation.cylinder(radius, length, sections=around)
+    mesh.apply_transform(primitive.pose)
+    mesh.visual.vertex_colors = [*primitive.color, 1.0]
+    return mesh
+
+
+def ply(parts: Sequence[Primitive]) -> bytes:
+    """Return all primitives as one binary PLY file with colored vertices."""
+    return bytes(_joined(parts).export(file_type="ply"))
+
+
+def stl(parts: Sequence[Primitive]) -> bytes:
+    """Return all primitives as one binary STL file."""
+    return bytes(_joined(parts).export(file_type="stl"))
+
+
+def obj(parts: Sequence[Primitive]) -> bytes:
+    """Return all primitives as one OBJ file, one named object per primitive."""
+    from trimesh import Scene
+    from trimesh.exchange.obj import export_obj
+
+    text = export_obj(
+        Scene({part.name: mesh_of(part) for part in parts}), include_color=False, digits=5, header="metres, z up"
+    )
+    return str(text).encode()
+
+
+def _joined(parts: Sequence[Primitive]) -> Trimesh:
+    from trimesh import util
+
+    return util.concatenate([mesh_of(part) for part in parts])

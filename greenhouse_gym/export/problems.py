@@ -1,4 +1,4 @@
-"""Planning problems (start, goals, obstacles) in the formats of VAMP, robometrics and MotionBenchMaker.
+"""Planning problems in the formats of VAMP, robometrics and MotionBenchMaker, and planning scenes of MoveIt.
 
 Everything is in the frame of the arm's base. The target tomato is not an obstacle: the suction cup may touch it.
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,8 +15,7 @@ import mujoco
 import numpy as np
 
 from greenhouse_gym.common.files import write_atomically
-from greenhouse_gym.export.moveit import FRAME, scene_message
-from greenhouse_gym.export.primitives import Primitive, primitives, without_ellipsoids
+from greenhouse_gym.export.primitives import Primitive, primitives, without_capsules, without_ellipsoids
 from greenhouse_gym.export.xml import arm_pose
 from greenhouse_gym.geometry import Array, invert, pose, quaternions_from
 from greenhouse_gym.planning import goal_configurations
@@ -26,6 +25,10 @@ from greenhouse_gym.scene.mjcf import compile_scene
 
 GOALS = 10
 """Goal configurations of a problem, in addition to the end of the target's witness."""
+
+_STRING_OR_POWER = re.compile(r'"(?:[^"\\]|\\.)*"|-?\d+(?:\.\d+)?e[-+]?\d+')
+
+FRAME = "base"
 
 
 class PlanningProblem(NamedTuple):
@@ -181,9 +184,6 @@ def _joints(robot: Robot, goal: Array) -> list[dict[str, Any]]:
     ]
 
 
-_STRING_OR_POWER = re.compile(r'"(?:[^"\\]|\\.)*"|-?\d+(?:\.\d+)?e[-+]?\d+')
-
-
 def _yaml(data: Any) -> bytes:
     """Return JSON that is also YAML.
 
@@ -197,3 +197,46 @@ def _yaml(data: Any) -> bytes:
         return '"' + "".join(each if each > "\uffff" else json.dumps(each)[1:-1] for each in text) + '"'
 
     return (_STRING_OR_POWER.sub(rewritten, json.dumps(data)) + "\n").encode()
+
+
+def scene_text(name: str, parts: Iterable[Primitive]) -> bytes:
+    """Return a scene in the first version of the ``.scene`` format, which every MoveIt reads.
+
+    Each shape is one object; a capsule becomes a cylinder and two spheres, an ellipsoid its enclosing sphere.
+    """
+    lines = [name]
+    for part in parts:
+        pieces = list(without_capsules(without_ellipsoids(part)))
+        lines += [f"* {part.name}", str(len(pieces))]
+        for piece in pieces:
+            size = 2 * np.array(piece.size) if piece.kind == "box" else np.array(piece.size)
+            lines += [piece.kind, _row(size), _row(piece.position), _row(piece.quaternion), _row((*piece.color, 1.0))]
+    return ("\n".join([*lines, "."]) + "\n").encode()
+
+
+def _row(values: Iterable[float]) -> str:
+    return " ".join(f"{float(value) + 0.0:.6g}" for value in values)
+
+
+def scene_message(name: str, parts: Iterable[Primitive]) -> dict[str, Any]:
+    """Return a ``moveit_msgs/PlanningScene`` as in MotionBenchMaker's YAML files."""
+    return {"name": name, "world": {"collision_objects": [_object(part) for part in parts]}}
+
+
+def _object(part: Primitive) -> dict[str, Any]:
+    pieces = list(without_capsules(without_ellipsoids(part)))
+    return {
+        "header": {"frame_id": FRAME},
+        "id": part.name,
+        "primitives": [{"type": piece.kind, "dimensions": _dimensions(piece)} for piece in pieces],
+        "primitive_poses": [
+            {"position": piece.position.tolist(), "orientation": piece.quaternion.tolist()} for piece in pieces
+        ],
+    }
+
+
+def _dimensions(piece: Primitive) -> list[float]:
+    """Return the dimensions of ``shape_msgs/SolidPrimitive``: sides; radius; height and radius of a cylinder."""
+    if piece.kind == "box":
+        return [2 * half for half in piece.size]
+    return list(reversed(piece.size))

@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.errors import InvalidValueError, require_choice
-from greenhouse_gym.export import meshes, moveit, problems, xml
-from greenhouse_gym.export.primitives import primitives
+from greenhouse_gym.export import problems, xml
+from greenhouse_gym.export.primitives import obj, ply, primitives, stl
 from greenhouse_gym.robots import Robot, get_robot
 from greenhouse_gym.scene import Scene
 from greenhouse_gym.scene.obstacles import Shapes
@@ -38,11 +38,11 @@ FORMATS: Mapping[str, Format] = MappingProxyType(
         "moveit": Format(
             "MoveIt's planning scene as text",
             ".scene",
-            lambda s, _, shapes: moveit.scene_text(s.name, primitives(shapes)),
+            lambda s, _, shapes: problems.scene_text(s.name, primitives(shapes)),
         ),
-        "ply": Format("a mesh with colors", ".ply", lambda s, _, shapes: meshes.ply(primitives(shapes))),
-        "obj": Format("a mesh, an object per shape", ".obj", lambda s, _, shapes: meshes.obj(primitives(shapes))),
-        "stl": Format("a mesh", ".stl", lambda s, _, shapes: meshes.stl(primitives(shapes))),
+        "ply": Format("a mesh with colors", ".ply", lambda s, _, shapes: ply(primitives(shapes))),
+        "obj": Format("a mesh, an object per shape", ".obj", lambda s, _, shapes: obj(primitives(shapes))),
+        "stl": Format("a mesh", ".stl", lambda s, _, shapes: stl(primitives(shapes))),
         "vamp": Format("problems for VAMP; stems stay capsules", ".vamp.json", lambda s, arm, _: problems.vamp(s, arm)),
         "robometrics": Format(
             "problems for robometrics; spheres and capsules as enclosing cylinders",

@@ -8,13 +8,7 @@ from xml.etree import ElementTree as Tree
 import numpy as np
 
 from greenhouse_gym.export.arm import Link, links_of
-from greenhouse_gym.export.primitives import (
-    Primitive,
-    primitives,
-    roll_pitch_yaw,
-    without_capsules,
-    without_ellipsoids,
-)
+from greenhouse_gym.export.primitives import Primitive, primitives, roll_pitch_yaw, without_capsules, without_ellipsoids
 from greenhouse_gym.geometry import Array, pose, rotation_about
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import Scene

@@ -4,8 +4,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from greenhouse_gym.learning.bc_then_ppo import train_bc_then_ppo
     from greenhouse_gym.learning.device_training import train_ppo_on_device
+    from greenhouse_gym.learning.imitation import train_bc_then_ppo
     from greenhouse_gym.learning.policies import load_into, save_policy
     from greenhouse_gym.learning.ppo import load_ppo, train_ppo
     from greenhouse_gym.learning.ppo_sweep import sweep_ppo
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from greenhouse_gym.learning.trained import TrainedAgent
 
 _MODULES = {
-    "bc_then_ppo": ("train_bc_then_ppo",),
     "device_training": ("train_ppo_on_device",),
+    "imitation": ("train_bc_then_ppo",),
     "policies": ("load_into", "save_policy"),
     "ppo": ("load_ppo", "train_ppo"),
     "ppo_sweep": ("sweep_ppo",),

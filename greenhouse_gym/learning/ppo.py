@@ -14,9 +14,7 @@ from greenhouse_gym.envs.episodes import EpisodeSampler
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.learning.sb3 import make_sb3_vec_env
 from greenhouse_gym.learning.settings import PpoSettings
-from greenhouse_gym.learning.training_settings import (
-    env_options,
-)
+from greenhouse_gym.learning.training_settings import env_options
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import SceneBank
 
@@ -29,13 +27,7 @@ with needs("train"):
     from greenhouse_gym.learning.sb3_features import policy_for
     from greenhouse_gym.learning.training_files import load_checkpoint, settings_of
     from greenhouse_gym.learning.training_report import TrainingReport
-    from greenhouse_gym.learning.training_run import (
-        as_json,
-        check_start,
-        learn,
-        making_model,
-        training_in,
-    )
+    from greenhouse_gym.learning.training_run import as_json, check_start, learn, making_model, training_in
 
 _ACTIVATIONS = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}
 

@@ -8,7 +8,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from greenhouse_gym.common.setting_checks import Count, Fraction, PositiveCount, check_numbers
+from greenhouse_gym.common.settings_files import Count, Fraction, PositiveCount, check_numbers
 from greenhouse_gym.errors import InvalidValueError, require_choice
 from greenhouse_gym.learning.training_settings import (
     Choice,

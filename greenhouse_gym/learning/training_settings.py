@@ -9,7 +9,7 @@ from typing import Annotated, Any, TypeAlias
 from pydantic import Field, InstanceOf
 
 from greenhouse_gym.common.own_code import portable, with_absolute_path
-from greenhouse_gym.common.setting_checks import check_numbers
+from greenhouse_gym.common.settings_files import check_numbers
 from greenhouse_gym.envs import Task
 from greenhouse_gym.scene import Scene
 

@@ -10,9 +10,8 @@ from greenhouse_gym.planning.composed_bank import ComposedBank
 from greenhouse_gym.planning.own_planners import OutOfBudget, PlanningProblem
 from greenhouse_gym.planning.parameters import Parameter
 from greenhouse_gym.planning.planners import PAPER_PLANNERS, PLANNERS, PlannerInfo, register_planner
-from greenhouse_gym.planning.query import plan
+from greenhouse_gym.planning.query import free_commands, plan
 from greenhouse_gym.planning.result import PlanResult
-from greenhouse_gym.planning.trajectory import free_commands
 
 __all__ = [
     "COLLISION_PAIRS",

@@ -24,13 +24,7 @@ import numpy as np
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.collision import PROOF, RESOLUTIONS, CollisionChecker
 from greenhouse_gym.motion.kernel_checker import search_checker
-from greenhouse_gym.planning.ompl_binding import (
-    OmplProblem,
-    import_ompl,
-    planner_names,
-    planner_parameters,
-    set_seed,
-)
+from greenhouse_gym.planning.ompl_binding import OmplProblem, import_ompl, planner_names, planner_parameters, set_seed
 from greenhouse_gym.planning.ompl_planners import JOINING, THREADED, Ompl, Planner
 from greenhouse_gym.planning.worker import Outcome, PlannerAnswer, PlannerQuery
 

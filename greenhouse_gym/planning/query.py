@@ -1,4 +1,4 @@
-"""`plan`: a collision-free joint path from a scene and a target, by any planner."""
+"""`plan`: a collision-free joint path from a scene and a target, by any planner; and commands along the path."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ from greenhouse_gym.errors import InvalidValueError, check_flag, check_whole, re
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.caution import with_margin, with_unexplained_cells
 from greenhouse_gym.motion.clearance import path_clearance
-from greenhouse_gym.motion.collision import COLLISION_PAIRS, LEAVES, Leaves
+from greenhouse_gym.motion.collision import COLLISION_PAIRS, LEAVES, MARGIN, CollisionChecker, Leaves, planning_model
 from greenhouse_gym.motion.goals import Goals, goal_configurations, sample_budget, search_goals
 from greenhouse_gym.motion.leaf_contacts import LeafContacts
+from greenhouse_gym.motion.path import CORNER_TOLERANCE, follow_path
 from greenhouse_gym.motion.proof import checker_of
 from greenhouse_gym.motion.unknown_space import depths_of, guarded, occupancy_of, unknown_length
 from greenhouse_gym.planning.brushing import plan_brushing
@@ -25,9 +26,12 @@ from greenhouse_gym.planning.planner_run import check_configurations, plan_with,
 from greenhouse_gym.planning.result import PlanResult
 from greenhouse_gym.robots import Robot, get_robot
 from greenhouse_gym.scene import Scene
+from greenhouse_gym.scene.mjcf import CompiledScene
 
 _POOL = 240  # goal configurations, from which those outside unknown space are chosen
 _FRACTION = 1 / 8  # of the remaining time and checks, for each attempt to avoid unknown space except the last
+
+_MAX_HALVINGS = 4  # of the corner tolerance
 
 
 def plan(
@@ -173,3 +177,39 @@ def plan(
 
 def _given_goals(goals: Goals | npt.ArrayLike, arm: Robot) -> Array:
     return check_configurations("goals", goals.configurations if isinstance(goals, Goals) else goals, arm)
+
+
+def free_commands(
+    compiled: CompiledScene,
+    target: int,
+    path: npt.ArrayLike,
+    velocity_limits: npt.ArrayLike,
+    acceleration_limits: npt.ArrayLike,
+    interval: float,
+    leaves: str = LEAVES[0],
+) -> Array:
+    """Return commands at equal intervals along a path such that the straight motions between them are free.
+
+    They keep half of the planner's margin. If a motion that cuts a corner does not, all corners are passed more slowly
+    and closer to the path.
+
+    Args:
+        compiled: The scene the path was planned in.
+        target: Index of the tomato.
+        path: (k, n) configurations, radians, proven free.
+        velocity_limits: (n,) rad/s.
+        acceleration_limits: (n,) rad/s^2.
+        interval: Seconds from one command to the next.
+        leaves: "brush" if the path may touch leaves.
+
+    Returns:
+        (m, n) commands of `follow_path`; the slowest ones if even those are not free.
+    """
+    start, lag = np.asarray(path, dtype=np.float64)[:1], compiled.robot.lag
+    checker = CollisionChecker(planning_model(compiled, target, margin=MARGIN / 2, leaves=leaves))
+    for halving in range(_MAX_HALVINGS + 1):
+        tolerance = CORNER_TOLERANCE / 2**halving
+        commands = follow_path(path, velocity_limits, acceleration_limits, interval, tolerance, lag)
+        if checker.path_is_free(np.concatenate([start, commands]), MARGIN):
+            break
+    return commands

@@ -14,7 +14,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.capture.frames import RgbdFrame
+from greenhouse_gym.capture.rig import RgbdFrame
 from greenhouse_gym.common.extras import needs
 
 with needs("reconstruct"):

@@ -7,10 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from greenhouse_gym.capture.frames import RgbdFrame
 from greenhouse_gym.capture.protocols import PROTOCOLS
 from greenhouse_gym.capture.recordings import Recording
-from greenhouse_gym.capture.rig import Camera, Rig
+from greenhouse_gym.capture.rig import Camera, RgbdFrame, Rig
 from greenhouse_gym.errors import FileFormatError, require_choice
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.reconstruction.foreground import foreground_mask, forward_distance

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.common.setting_checks import Positive, PositiveCount, check_numbers
+from greenhouse_gym.common.settings_files import Positive, PositiveCount, check_numbers
 from greenhouse_gym.errors import ReconstructionError
 from greenhouse_gym.geometry import Array, invert, transform
 from greenhouse_gym.reconstruction.row_cloud import RowCloud

@@ -11,10 +11,9 @@ from greenhouse_gym.capture.rig import Camera
 from greenhouse_gym.common.open3d_loader import open3d
 from greenhouse_gym.geometry import Array, invert, pose, rotation_angle, transform
 from greenhouse_gym.geometry.point_clouds import merge, to_open3d
-from greenhouse_gym.reconstruction.foreground import foreground_problem
+from greenhouse_gym.reconstruction.foreground import Shift, along, best_shifts, foreground_problem, overlapping_parts
 from greenhouse_gym.reconstruction.icp import MAX_ITERATIONS, IcpResult, assess_pose, fine_icp
 from greenhouse_gym.reconstruction.settings import ReconstructionSettings
-from greenhouse_gym.reconstruction.silhouette_shift import Shift, along, best_shifts, overlapping_parts
 from greenhouse_gym.reconstruction.station_views import SAMPLES, CameraView, StationView
 
 LONGEST_GAP = 0.45  # m between two stations of a segment

@@ -8,7 +8,7 @@ from typing import Annotated, Literal, get_args
 from pydantic import Field
 
 from greenhouse_gym.capture.protocols import PROTOCOLS, CaptureProtocol
-from greenhouse_gym.common.setting_checks import Count, Fraction, Positive, check_numbers
+from greenhouse_gym.common.settings_files import Count, Fraction, Positive, check_numbers
 from greenhouse_gym.errors import require_choice
 
 Poses = Literal["estimate", "given", "refine"]

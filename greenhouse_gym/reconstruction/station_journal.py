@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 from pydantic import TypeAdapter
 
-from greenhouse_gym.capture.fingerprint import fingerprint
-from greenhouse_gym.capture.recordings import Recording
+from greenhouse_gym.capture.recordings import Recording, fingerprint
 from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.geometry.point_clouds import PackedCloud
 from greenhouse_gym.reconstruction.pose_graph import PoseEdge

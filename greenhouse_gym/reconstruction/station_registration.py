@@ -22,9 +22,8 @@ from greenhouse_gym.geometry import Array, transform
 from greenhouse_gym.geometry.point_clouds import PackedCloud
 from greenhouse_gym.reconstruction.calibration import calibrate
 from greenhouse_gym.reconstruction.foreground import foreground_problem
-from greenhouse_gym.reconstruction.given_poses import register_given_pose
 from greenhouse_gym.reconstruction.pair_registration import LONGEST_GAP, Registration, refine_pair, register_pair
-from greenhouse_gym.reconstruction.pass_registration import pass_index, register_passes
+from greenhouse_gym.reconstruction.pass_registration import pass_index, register_given_pose, register_passes
 from greenhouse_gym.reconstruction.pose_graph import PoseEdge, PoseEdges
 from greenhouse_gym.reconstruction.report import CalibrationReport, StationReport
 from greenhouse_gym.reconstruction.settings import ReconstructionSettings

@@ -17,7 +17,7 @@ from greenhouse_gym.envs.actions import check_actions
 from greenhouse_gym.envs.contacts import NAME_SEPARATOR
 from greenhouse_gym.envs.environment import GreenhouseEnv
 from greenhouse_gym.errors import InvalidValueError, check_whole, require_seed
-from greenhouse_gym.evaluation.asking import never_acted
+from greenhouse_gym.evaluation.deadline import never_acted
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.rendering.picture_files import FILMS, require_picture, with_caption, write_film
 from greenhouse_gym.rendering.renderer import Image

@@ -16,10 +16,9 @@ from greenhouse_gym.crops.parts import Stem
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.geometry import Array, Ellipsoid, Shape, Sphere, invert, pose, transform
 from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud, TriangleMesh
-from greenhouse_gym.reconstruction.foreground import black_out
+from greenhouse_gym.reconstruction.foreground import Shift, along, black_out, overlapping_parts
 from greenhouse_gym.reconstruction.occupancy_carving import carve
 from greenhouse_gym.reconstruction.pair_registration import register_pair
-from greenhouse_gym.reconstruction.silhouette_shift import Shift, along, overlapping_parts
 from greenhouse_gym.reconstruction.station_views import Calibration, CameraView, station_view
 from greenhouse_gym.rendering.picture_files import write_picture
 from greenhouse_gym.rendering.renderer import Image
@@ -50,7 +49,7 @@ def side_by_side(images: Sequence[Image]) -> Image:
 
 
 def save_pipeline(photograph: Image, cloud: Image, scene: Image, path: Path, height: int = 480) -> Path:
-    """Write the data's steps as one picture: a photograph, the row's cloud, the arm in the scene."""
+    """Draw the steps of the data as one picture: a photograph, the row's cloud, the arm in the scene."""
     import cv2
 
     parts = [

@@ -26,16 +26,18 @@ import numpy.typing as npt
 from greenhouse_gym.common.files import resolved
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, UnknownNameError
 from greenhouse_gym.geometry import Array, numbers_of
-from greenhouse_gym.robots.arm_file import fingerprint, loading, read_arm
-from greenhouse_gym.robots.joint_limits import (
+from greenhouse_gym.robots.arm_file import (
     DEFAULT_ACCELERATION,
     DEFAULT_SLIDE_ACCELERATION,
     DEFAULT_SLIDE_SPEED,
     DEFAULT_SPEED,
     attainable_speeds,
+    fingerprint,
     joint_limits,
+    loading,
     motion_limits,
     numeric,
+    read_arm,
     servo_lag,
 )
 from greenhouse_gym.robots.prepare import PROBE_PREFIX, TIP_SITE, colliding_geoms, prepare_spec, touching_bodies

@@ -12,15 +12,7 @@ from numbers import Integral
 from pathlib import Path
 from typing import Any, overload
 
-from greenhouse_gym.common.files import (
-    checked_name,
-    data_path,
-    inside,
-    parsing,
-    read_bytes,
-    resolved,
-    write_atomically,
-)
+from greenhouse_gym.common.files import checked_name, data_path, inside, parsing, read_bytes, resolved, write_atomically
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, UnknownNameError, require_choice
 from greenhouse_gym.scene.manifest import (
     MANIFEST,

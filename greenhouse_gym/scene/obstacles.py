@@ -22,12 +22,11 @@ from pydantic import (
 )
 
 from greenhouse_gym.common.files import checked_name, parsing
-from greenhouse_gym.crops.packed_tables import pack, unpack
 from greenhouse_gym.crops.parts import Stem, Tomato, is_leaf
 from greenhouse_gym.crops.shape_tables import arrays_of_tables, from_tables
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Box, Capsule, Shape, ShapeArrays, Sphere, Vector, arrays_of
-from greenhouse_gym.scene.shape_lists import in_bulk, read_clutter, read_stems, read_tomatoes
+from greenhouse_gym.scene.shape_lists import in_bulk, pack, read_clutter, read_stems, read_tomatoes, unpack
 
 SceneName = Annotated[str, AfterValidator(lambda name: checked_name("a scene", name))]
 
@@ -215,7 +214,7 @@ PackedShapes = Annotated[
     WrapValidator(_validated),
     PlainSerializer(_packed, return_type=dict[str, Any], when_used="json"),
 ]
-"""Shapes that files store as compressed tables (`greenhouse_gym.crops.packed_tables`), rounded to 0.1 mm."""
+"""Shapes that files store as compressed tables (`greenhouse_gym.scene.shape_lists`), rounded to 0.1 mm."""
 
 
 class Surroundings(Shapes):

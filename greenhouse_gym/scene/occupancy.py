@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, model_validator
 
-from greenhouse_gym.common.compression import compress, decompress
+from greenhouse_gym.common.array_files import compress, decompress
 from greenhouse_gym.crops.parts import SpaceBox
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array, Vector, unchecked

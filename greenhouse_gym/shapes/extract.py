@@ -11,22 +11,25 @@ import numpy.typing as npt
 from greenhouse_gym.crops.parts import Stem, Tomato
 from greenhouse_gym.geometry import Box, Shape, Sphere
 from greenhouse_gym.geometry.point_clouds import Cloud
-from greenhouse_gym.shapes.clutter.boxes import box_budget, cover_with_boxes
-from greenhouse_gym.shapes.colors import colorful_mask, redness
-from greenhouse_gym.shapes.domain import outside_domain
-from greenhouse_gym.shapes.evidence import SHELL, Evidence, nearest_shapes
-from greenhouse_gym.shapes.fruit.detection import find_red_tomatoes, find_tomatoes
-from greenhouse_gym.shapes.fruit.flowers import find_flowers
-from greenhouse_gym.shapes.fruit.skin import noisy_skin_mask, skin_mask
-from greenhouse_gym.shapes.input_checks import WarningLog, downsample, validated_cloud
-from greenhouse_gym.shapes.normal_estimation import mend_normals
+from greenhouse_gym.shapes.clutter import box_budget, cover_with_boxes
+from greenhouse_gym.shapes.evidence import SHELL, Evidence, nearest_shapes, noisy_skin_mask, skin_mask
+from greenhouse_gym.shapes.fruit.detection import find_flowers, find_red_tomatoes, find_tomatoes
+from greenhouse_gym.shapes.input_checks import WarningLog, downsample, outside_domain, validated_cloud
+from greenhouse_gym.shapes.neighborhoods import mend_normals
 from greenhouse_gym.shapes.settings import ShapeSettings
 from greenhouse_gym.shapes.stems.main_stems import find_main_stems, find_strings
-from greenhouse_gym.shapes.stems.peduncle_classifier import peduncle_probability
 from greenhouse_gym.shapes.stems.peduncle_features import STEM_MARGIN, peduncle_candidates
 from greenhouse_gym.shapes.stems.pipes import find_pipes
-from greenhouse_gym.shapes.stems.traced_peduncles import trace_peduncles
-from greenhouse_gym.shapes.surface_cloud import SurfaceCloud, fine_surface, measure_surface, pipe_mask, stem_mask
+from greenhouse_gym.shapes.stems.traced_peduncles import peduncle_probability, trace_peduncles
+from greenhouse_gym.shapes.surface_cloud import (
+    SurfaceCloud,
+    colorful_mask,
+    fine_surface,
+    measure_surface,
+    pipe_mask,
+    redness,
+    stem_mask,
+)
 
 EXPLAINED = 0.008
 """Distance in metres from a shape within which a point is evidence for it."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from greenhouse_gym.common.setting_checks import check_numbers
+from greenhouse_gym.common.settings_files import check_numbers
 
 _POSITIVE = ("voxel", "fine_voxel", "radii", "small_radii", "pipe_radii", "stem_radii")
 _FRACTIONS = ("min_confidence",)

@@ -16,9 +16,10 @@ from scipy.spatial import cKDTree
 
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.geometry.point_clouds import Cloud, voxel_means
-from greenhouse_gym.shapes.colors import colorful_mask, redness
 from greenhouse_gym.shapes.neighborhoods import Neighborhoods
 from greenhouse_gym.shapes.settings import ShapeSettings
+
+_MIN_SATURATION = 0.15  # fruit and stems exceed this; gutters and strings are white
 
 Mask = npt.NDArray[np.bool_]
 
@@ -37,6 +38,22 @@ _LEAF_CONTRAST = 0.07  # points redder than leaves by this are no leaf
 _FRUIT_CURVATURE = 6.0  # 1/m in both directions, above which a point may be fruit
 _STEM_CURVATURE = 25.0  # 1/m in one direction, above which a point may lie on a main stem
 _STEM_ELONGATION = 4.0  # ratio of variances along and across, above which a point may lie on a main stem
+
+
+def colorful_mask(colors: Array) -> npt.NDArray[np.bool_]:
+    """Return which colors (n, 3) are not white, gray or black; all of them if none is.
+
+    Strings and gutters are white or gray.
+    """
+    saturation = 1.0 - colors.min(axis=1, initial=1.0) / np.maximum(colors.max(axis=1, initial=0.0), 1e-6)
+    colorful = np.asarray(saturation > _MIN_SATURATION)
+    return colorful | ~colorful.any()
+
+
+def redness(colors: Array) -> Array:
+    """Return (R - G) / (R + G) of colors (n, 3), which shading does not change."""
+    red, green = colors[:, 0], colors[:, 1]
+    return np.asarray((red - green) / np.maximum(red + green, 1e-6))
 
 
 @dataclass(frozen=True, eq=False)

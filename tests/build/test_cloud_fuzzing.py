@@ -17,8 +17,7 @@ from fuzzing import Damage, Source, assert_all_end_well, assert_what_is_no_file_
 from mutants import damaged_arrays, damaged_bytes, damaged_numbers
 
 from greenhouse_gym.build.scans import read_cloud
-from greenhouse_gym.build.scans.frame import guess_unit
-from greenhouse_gym.build.scans.strays import without_strays
+from greenhouse_gym.build.scans.frame import guess_unit, without_strays
 
 POINTS = np.random.default_rng(0).random((120, 3)).round(4)
 RED = {name: np.full(120, value) for name, value in zip(("red", "green", "blue"), (194, 26, 18), strict=True)}

@@ -14,10 +14,10 @@ from typer.testing import CliRunner
 
 from greenhouse_gym.build import bank_builder as build
 from greenhouse_gym.build.scans import RawCloud, Scan, extract_from_scan, open_scan, read_cloud, scanned_row
-from greenhouse_gym.build.scans import scan_row as row_module
+from greenhouse_gym.build.scans import scan as row_module
 from greenhouse_gym.build.scans.frame import guess_unit, guess_up
 from greenhouse_gym.build.scans.scan import fruit_hangs
-from greenhouse_gym.capture.fingerprint import fingerprint
+from greenhouse_gym.capture.recordings import fingerprint
 from greenhouse_gym.cli import app
 from greenhouse_gym.common.open3d_loader import open3d
 from greenhouse_gym.crops.parts import Stem, Tomato
@@ -321,8 +321,8 @@ def test_organized_clouds_and_rows_that_are_not_finite(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("suffix", WRITERS)
 def test_of_too_many_points_some_are_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str) -> None:
-    monkeypatch.setattr("greenhouse_gym.build.scans.cloud_formats.parts.MAX_POINTS", 100)
-    monkeypatch.setattr("greenhouse_gym.build.scans.cloud_formats.parts._PIECE", 70)
+    monkeypatch.setattr("greenhouse_gym.build.scans.cloud_formats.columns.MAX_POINTS", 100)
+    monkeypatch.setattr("greenhouse_gym.build.scans.cloud_formats.columns._PIECE", 70)
     random = np.random.default_rng(0)
     points, colors, normals = random.random((250, 3)), random.random((250, 3)), random.random((250, 3))
     WRITERS[suffix](tmp_path / f"c{suffix}", points, colors, normals)

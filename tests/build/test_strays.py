@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from greenhouse_gym.build.scans import RawCloud, open_scan
-from greenhouse_gym.build.scans.strays import without_strays
+from greenhouse_gym.build.scans.frame import without_strays
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.geometry import Array
 

@@ -14,9 +14,8 @@ from bag_writer import FRAME, ROS1, START, Writer, png
 from greenhouse_gym.capture import Intrinsics, Recording, RgbdFrame, open_recording
 from greenhouse_gym.capture.formats.bag_poses import ODOMETRY, POSE, PoseTopic, rig_poses
 from greenhouse_gym.capture.formats.bag_topics import is_rectified
-from greenhouse_gym.capture.formats.pairs import Pair, distorted_lens
 from greenhouse_gym.capture.formats.ros_messages import lens_of
-from greenhouse_gym.capture.formats.single_camera import RIG_FROM_CAMERA
+from greenhouse_gym.capture.formats.single_camera import RIG_FROM_CAMERA, Pair, distorted_lens
 from greenhouse_gym.errors import FileFormatError, GreenhouseError
 from greenhouse_gym.geometry import pose
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from greenhouse_gym.capture import Camera, Intrinsics, Recording, RgbdFrame, Rig, Station, open_recording
-from greenhouse_gym.capture.fingerprint import fingerprint
 from greenhouse_gym.capture.formats.own import write_recording
+from greenhouse_gym.capture.recordings import fingerprint
 
 INTRINSICS = Intrinsics(4, 3, 2.0, 2.0, 1.5, 1.0)
 

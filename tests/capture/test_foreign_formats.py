@@ -13,8 +13,8 @@ from row_helpers import HALF, half_recording
 from scipy.spatial.transform import Rotation
 
 from greenhouse_gym.capture import Intrinsics, Recording, open_recording
-from greenhouse_gym.capture.formats.pairs import Lens, Pair, aligned
-from greenhouse_gym.capture.formats.trajectories import nearest_in_time
+from greenhouse_gym.capture.formats.image_lists import nearest_in_time
+from greenhouse_gym.capture.formats.single_camera import Lens, Pair, aligned
 from greenhouse_gym.capture.image_files import read_any_depth
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.geometry import Array, pose

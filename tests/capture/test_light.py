@@ -69,7 +69,7 @@ def bare_stem() -> PlantRow:
     """A thick pole of organs, and a leaf that shades its middle."""
     pole = tube_organ("main", np.array([[0.5, 0.0, z, 0.02] for z in np.linspace(0.5, 1.5, 11)]), (0.4, 0.5, 0.3))
     vertices = np.array([[0.3, -0.1, 1.2], [0.5, -0.1, 1.2], [0.5, 0.1, 1.2], [0.3, 0.1, 1.2]])
-    leaf = Organ("leaf", vertices, np.array([[0, 1, 2], [0, 2, 3]]), np.tile([0.2, 0.4, 0.1], (2, 1)), plant=0)
+    leaf = Organ("leaf", vertices, np.array([[0, 1, 2], [0, 2, 3]]), np.tile([0.2, 0.4, 0.1], (2, 1)))
     stem = Stem(np.array([0.5, 0.0, 0.5]), np.array([0.5, 0.0, 1.5]), 0.02, kind="main")
     return PlantRow((), (stem,), (), 1.0, 0, organs=(pole, leaf))
 

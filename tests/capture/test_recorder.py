@@ -14,7 +14,7 @@ from walls import STEP, frame, video
 from greenhouse_gym.capture import RgbdFrame, Station, open_recording
 from greenhouse_gym.capture.realsense import synchronized
 from greenhouse_gym.capture.recorder import PREVIEW, RecordedStation, record
-from greenhouse_gym.cli.live_recording import Keys
+from greenhouse_gym.cli.recording_commands import Keys
 from greenhouse_gym.errors import CameraError, FileFormatError
 
 RIG = video().rig

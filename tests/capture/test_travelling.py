@@ -12,7 +12,7 @@ import pytest
 from row_helpers import HALF
 
 from greenhouse_gym.capture import Recording, Station, join_passes, open_recording, simulate_recording, write_recording
-from greenhouse_gym.capture.fingerprint import fingerprint
+from greenhouse_gym.capture.recordings import fingerprint
 from greenhouse_gym.crops import grow_row
 
 

@@ -9,7 +9,7 @@ import pytest
 from row_helpers import full_recording, grown
 
 from greenhouse_gym.capture import open_recording, simulate_recording, write_recording
-from greenhouse_gym.capture.truth_file import TRUTH, load_truth, save_truth
+from greenhouse_gym.crops.truth_shapes import TRUTH, load_truth, save_truth
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.geometry import distance_to_shapes
 

@@ -13,7 +13,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from greenhouse_gym.crops import grow_row
-from greenhouse_gym.crops.packed_tables import _decode, _encode
 from greenhouse_gym.crops.shape_tables import (
     COLUMNS,
     ShapeTables,
@@ -35,6 +34,7 @@ from greenhouse_gym.geometry import (
     transform,
 )
 from greenhouse_gym.scene import Scene, Shapes
+from greenhouse_gym.scene.shape_lists import _decode, _encode
 
 
 @given(st.lists(st.floats(-1, 1), min_size=3, max_size=3).filter(lambda v: np.linalg.norm(v) > 0.01), st.floats(-4, 4))

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from greenhouse_gym.crops import STYLES, TOMATO, Crop, Palette, PlantRow, grow_row
+from greenhouse_gym.crops.crop import HIGHEST_TRUSS, LOWEST_TRUSS, PLANT_SPACING, STEM_LINE, TRUSS_SPACING
 from greenhouse_gym.crops.parts import Stem, Tomato
-from greenhouse_gym.crops.plant_row import HIGHEST_TRUSS, LOWEST_TRUSS, PLANT_SPACING, STEM_LINE, TRUSS_SPACING
 from greenhouse_gym.errors import GreenhouseError, InvalidValueError, UnknownNameError
 from greenhouse_gym.geometry import Shape, distance_to_capsules
 

@@ -19,9 +19,9 @@ from greenhouse_gym.envs import make_env, make_vec_env
 from greenhouse_gym.envs.image_observations import RgbObservation
 from greenhouse_gym.envs.tasks.harvest import COUNTED, SIZES, TomatoHarvest, ripe_targets
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.plants.layout import Crate, Layout
 from greenhouse_gym.rendering.cameras import MAX_RANGE, DepthCamera, scene_from_bases
 from greenhouse_gym.scene import SceneBank, Shapes
+from greenhouse_gym.scene.plants.layout import Crate, Layout
 
 SCENE = "own-cluster-2000-w00-02"
 OPTIONS = {"bank": "mini", "task": "harvest", "plants": "compliant", "physics": "truth", "scene": SCENE}

@@ -19,7 +19,7 @@ from greenhouse_gym.evaluation import evaluate
 from greenhouse_gym.geometry import Box, Sphere
 from greenhouse_gym.motion.voxel_map import VoxelBox
 from greenhouse_gym.rendering.cameras import DepthCamera
-from greenhouse_gym.rendering.visibility import visible_fractions
+from greenhouse_gym.rendering.depth_reading import visible_fractions
 from greenhouse_gym.scene import Scene, SceneBank
 from greenhouse_gym.scene.occupancy import FREE, OCCUPIED, UNKNOWN
 

@@ -23,7 +23,7 @@ from typer.testing import CliRunner
 
 from greenhouse_gym.agents import Problem, WaypointAgent
 from greenhouse_gym.cli.main import app
-from greenhouse_gym.common import memory
+from greenhouse_gym.common import isolation
 from greenhouse_gym.common.executors import processes
 from greenhouse_gym.common.files import exclusive
 from greenhouse_gym.errors import FileWriteError, InvalidValueError
@@ -188,7 +188,7 @@ def test_an_agent_gets_no_more_memory_than_there_is(
 ) -> None:
     import resource
 
-    monkeypatch.setattr(memory, "available_memory", lambda: 2**27)
+    monkeypatch.setattr(isolation, "available_memory", lambda: 2**27)
     before = resource.getrlimit(resource.RLIMIT_DATA)
     greedy, still = compare([Greedy(size), StillAgent()], episodes=2, bank=bank, timeout=timeout, step_limit=4)
     assert [record.failure[:13] for record in greedy.records] == ["", "MemoryError: "]

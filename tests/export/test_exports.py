@@ -14,9 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from greenhouse_gym.errors import InvalidValueError, MissingDependencyError, UnknownNameError
 from greenhouse_gym.export import FORMATS, export_scene
-from greenhouse_gym.export.meshes import mesh_of
-from greenhouse_gym.export.moveit import FRAME
-from greenhouse_gym.export.primitives import Primitive, primitives, without_capsules
+from greenhouse_gym.export.primitives import Primitive, mesh_of, primitives, without_capsules
+from greenhouse_gym.export.problems import FRAME
 from greenhouse_gym.export.xml import arm_pose
 from greenhouse_gym.geometry import Array, Capsule, distance_to_shapes, transform
 from greenhouse_gym.planning import CollisionChecker, certify_targets, planning_model

@@ -14,11 +14,18 @@ from greenhouse_gym.envs import GreenhouseVectorEnv
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.evaluation import evaluate
 from greenhouse_gym.geometry import distance_to_shapes
-from greenhouse_gym.learning.bc_then_ppo import BcThenPpoSettings, train_bc_then_ppo
-from greenhouse_gym.learning.imitation import ImitationSettings, follow_waypoint, imitate
+from greenhouse_gym.learning.imitation import (
+    BcThenPpoSettings,
+    ImitationSettings,
+    Variation,
+    follow_waypoint,
+    imitate,
+    train_bc_then_ppo,
+    varied_bank,
+    varied_scene,
+)
 from greenhouse_gym.learning.ppo import PpoSettings, make_ppo, train_ppo
 from greenhouse_gym.learning.sb3 import make_sb3_vec_env
-from greenhouse_gym.learning.variation import Variation, varied_bank, varied_scene
 from greenhouse_gym.scene import Scene, SceneBank
 
 STILL = Variation(PlantMotion(0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0)

@@ -13,9 +13,9 @@ from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.envs import GreenhouseEnv
 from greenhouse_gym.envs.state import STEP_LIMIT
 from greenhouse_gym.geometry import Sphere
+from greenhouse_gym.learning.sac import GoalReplayBuffer
 from greenhouse_gym.learning.sb3 import make_sb3_vec_env
 from greenhouse_gym.learning.sb3_features import GoalFeatures
-from greenhouse_gym.learning.sb3_her import GoalReplayBuffer
 from greenhouse_gym.motion.success import SUCCESS_RADIUS
 from greenhouse_gym.scene import Scene, SceneBank
 

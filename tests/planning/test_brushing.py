@@ -19,8 +19,8 @@ from greenhouse_gym.motion.proof import ProvingChecker
 from greenhouse_gym.motion.roadmap import SceneRoadmaps
 from greenhouse_gym.planning import goal_configurations, plan, planning_model
 from greenhouse_gym.planning.audit import witness_faults
-from greenhouse_gym.planning.brush_ratings import brush_bank, with_brush_certificates
 from greenhouse_gym.planning.certify import certify_targets
+from greenhouse_gym.planning.rated_banks import brush_bank, with_brush_certificates
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Provenance, Scene, Target, compile_scene
 from greenhouse_gym.scene.bank import write_bank

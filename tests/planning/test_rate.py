@@ -13,8 +13,7 @@ from greenhouse_gym.envs import GreenhouseEnv
 from greenhouse_gym.errors import FileWriteError, InvalidValueError
 from greenhouse_gym.motion.collision import PROOF
 from greenhouse_gym.planning import CollisionChecker, certify, plan, planning_model
-from greenhouse_gym.planning.brush_ratings import brush_bank
-from greenhouse_gym.planning.rated_banks import RATING, rate_bank
+from greenhouse_gym.planning.rated_banks import RATING, brush_bank, rate_bank
 from greenhouse_gym.robots import get_robot, load_robot
 from greenhouse_gym.scene import Scene, SceneBank, compile_scene
 from greenhouse_gym.scene.bank import write_bank

@@ -9,8 +9,7 @@ import pytest
 from row_helpers import grown, half_recording
 
 from greenhouse_gym.capture import CaptureSettings, StereoNoise, sense_depth, simulate_recording, three_camera_rig
-from greenhouse_gym.capture.frames import RgbdFrame
-from greenhouse_gym.capture.rig import Intrinsics
+from greenhouse_gym.capture.rig import Intrinsics, RgbdFrame
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.reconstruction import ReconstructionSettings
 from greenhouse_gym.reconstruction.calibration import calibrate

@@ -25,10 +25,9 @@ from greenhouse_gym.crops import grow_row
 from greenhouse_gym.geometry import invert, pose, rotation_about, rotation_angle, transform
 from greenhouse_gym.reconstruction import ReconstructionSettings
 from greenhouse_gym.reconstruction.calibration import calibrate
-from greenhouse_gym.reconstruction.depth_normals import image_normals
 from greenhouse_gym.reconstruction.icp import fine_icp
 from greenhouse_gym.reconstruction.pair_registration import alignment_problem, register_pair
-from greenhouse_gym.reconstruction.station_views import Calibration, StationView, station_view
+from greenhouse_gym.reconstruction.station_views import Calibration, StationView, image_normals, station_view
 
 SETTINGS = ReconstructionSettings()
 CAMERA = Intrinsics(200, 150, 110.0, 105.0, 99.0, 74.0)

@@ -12,8 +12,8 @@ from greenhouse_gym.capture import PROTOCOLS, RgbdFrame, Rig, sense_depth, simul
 from greenhouse_gym.crops import grow_row
 from greenhouse_gym.geometry import invert, pose, rotation_about, rotation_angle
 from greenhouse_gym.reconstruction import ReconstructionSettings, settings_for
+from greenhouse_gym.reconstruction.calibration import calibrate_from_overlap
 from greenhouse_gym.reconstruction.fitting import foreground_cut, sensor_noise
-from greenhouse_gym.reconstruction.rig_from_overlap import calibrate_from_overlap
 
 CAMERA = HALF.cameras["middle"]
 

@@ -11,9 +11,15 @@ from greenhouse_gym.capture import SEED_RIG, Intrinsics, RgbdFrame, three_camera
 from greenhouse_gym.capture.rig import D435_DEPTH
 from greenhouse_gym.geometry import transform
 from greenhouse_gym.reconstruction import ReconstructionSettings, pair_registration
-from greenhouse_gym.reconstruction.foreground import black_out, foreground_mask
+from greenhouse_gym.reconstruction.foreground import (
+    Shift,
+    along,
+    best_shifts,
+    black_out,
+    foreground_mask,
+    overlapping_parts,
+)
 from greenhouse_gym.reconstruction.pair_registration import mean_offset, row_axis, silhouette_shifts
-from greenhouse_gym.reconstruction.silhouette_shift import Shift, along, best_shifts, overlapping_parts
 from greenhouse_gym.reconstruction.station_views import Calibration, CameraView, camera_view
 
 SETTINGS = ReconstructionSettings()

@@ -23,7 +23,7 @@ from greenhouse_gym.errors import FileWriteError, InvalidValueError
 from greenhouse_gym.evaluation import retrace
 from greenhouse_gym.evaluation.leaderboard import V1, submit
 from greenhouse_gym.evaluation.records import Evaluation, Record
-from greenhouse_gym.reporting.comparison import dividing_episodes
+from greenhouse_gym.reporting.comparison import comparison_page, dividing_episodes
 from greenhouse_gym.reporting.comparison_figures import (
     SUCCESSES_BY_ACTIONS,
     arm_part,
@@ -31,7 +31,6 @@ from greenhouse_gym.reporting.comparison_figures import (
     first_motion,
     obstacle_kind,
 )
-from greenhouse_gym.reporting.comparison_page import comparison_page
 from greenhouse_gym.reporting.plots import logarithmic
 from greenhouse_gym.reporting.scene_page import Motion, Replay, scene_page
 from greenhouse_gym.robots import get_robot

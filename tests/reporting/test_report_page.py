@@ -16,8 +16,7 @@ from greenhouse_gym.reconstruction.edge_fattening import EdgeFattening
 from greenhouse_gym.reconstruction.report import CalibrationReport
 from greenhouse_gym.rendering.picture_files import write_picture
 from greenhouse_gym.reporting.plots import hover, limits_around, svg_plot
-from greenhouse_gym.reporting.reconstruction_results import typical_pair
-from greenhouse_gym.reporting.report_page import report_page
+from greenhouse_gym.reporting.report_page import report_page, typical_pair
 
 HEAD = np.array([0.0, 0.0, 1.1])
 

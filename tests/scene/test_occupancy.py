@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from conftest import make_scene
 
-from greenhouse_gym.common.compression import compress
+from greenhouse_gym.common.array_files import compress
 from greenhouse_gym.errors import FileFormatError, InvalidValueError
 from greenhouse_gym.geometry import distance_to_shapes
 from greenhouse_gym.scene import Scene

@@ -13,7 +13,7 @@ from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Box, Ellipsoid, Sphere, distance_to_shapes, invert, transform
 from greenhouse_gym.shapes import RowShapes, ShapeSettings, ShapeWarning, extract_shapes
-from greenhouse_gym.shapes.clutter.boxes import bounding_box
+from greenhouse_gym.shapes.clutter import bounding_box
 from greenhouse_gym.shapes.evidence import nearest_shapes
 from greenhouse_gym.shapes.extract import EXPLAINED
 from greenhouse_gym.shapes.fruit.detection import ripeness_of

@@ -12,14 +12,14 @@ from shape_clouds import cylinder, half_sphere, plane, together
 from greenhouse_gym.crops import Palette
 from greenhouse_gym.geometry.point_clouds import Cloud, voxel_means
 from greenhouse_gym.shapes import ShapeSettings, ShapeWarning, extract_shapes
-from greenhouse_gym.shapes.colors import redness
-from greenhouse_gym.shapes.normal_estimation import mend_normals
+from greenhouse_gym.shapes.neighborhoods import mend_normals
 from greenhouse_gym.shapes.surface_cloud import (
     NO_LEAF,
     SurfaceCloud,
     fine_surface,
     fruit_mask,
     measure_surface,
+    redness,
     stem_mask,
 )
 

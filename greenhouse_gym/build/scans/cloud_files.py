@@ -10,10 +10,9 @@ from types import MappingProxyType
 import numpy as np
 
 from greenhouse_gym.build.scans.cloud_formats.arrays import read_npy, read_npz
-from greenhouse_gym.build.scans.cloud_formats.columns import fractions
-from greenhouse_gym.build.scans.cloud_formats.e57 import read_e57
+from greenhouse_gym.build.scans.cloud_formats.columns import Parts, every, fractions
 from greenhouse_gym.build.scans.cloud_formats.las import read_las
-from greenhouse_gym.build.scans.cloud_formats.parts import Parts, every
+from greenhouse_gym.build.scans.cloud_formats.native import read_e57
 from greenhouse_gym.build.scans.cloud_formats.pcd import read_pcd
 from greenhouse_gym.build.scans.cloud_formats.ply import read_ply
 from greenhouse_gym.build.scans.cloud_formats.text_table import read_text

@@ -1,19 +1,26 @@
-"""Guess properties that a point cloud file does not state: its unit, the upward direction, and the side of the scanner.
+"""Drop stray points, and guess what a file does not state: unit, upward direction, side of the scanner.
 
 All guesses use the points alone and do not depend on how the cloud is rotated, mirrored or scaled.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from greenhouse_gym.build.scans.cloud_formats.las_units import FOOT, SURVEY_FOOT
+from greenhouse_gym.build.scans.cloud_files import RawCloud
+from greenhouse_gym.build.scans.cloud_formats.las import FOOT, SURVEY_FOOT
 from greenhouse_gym.common.open3d_loader import open3d
 from greenhouse_gym.geometry import Array, pose
+from greenhouse_gym.geometry.point_clouds import group_sizes
+
+_MIN_REPEATS = 5  # of the samples at one position, where sensors write one for every missing reading
+_FAR = 4.0  # median distances from the middle of the cloud within which no point is a stray
+_SMALL = 0.1  # fraction of the points, of groups of strays
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": FOOT, "us-ft": SURVEY_FOOT}
 """Metres per unit."""
@@ -31,6 +38,55 @@ _FACING = 0.15  # mean of the unit normals across the row below which it was sca
 _FLAT, _TABLE = 0.01, 0.3  # distance from a plane (m), and fraction of the points that a table or floor holds
 _ELSEWHERE = 0.005  # fraction of the points that need not lie in front of a camera
 _LONG = 1.3  # minimum ratio of length to depth for the longer side to be the row's direction
+
+
+def without_strays(cloud: RawCloud) -> RawCloud:
+    """Return a cloud without stray points and missing readings, and sentences on what was dropped.
+
+    Some sensors write one position, mostly the origin, for all pixels without a reading. Strays are small groups far
+    from the rest, such as readings of 65.535 m.
+    """
+    points = cloud.points
+    kept = np.asarray(np.isfinite(points).all(axis=1))
+    notes = [f"{np.count_nonzero(~kept)} points have no finite position and were left out"] if not kept.all() else []
+    for position in _repeated(points[kept]):
+        missing = kept & (points == position).all(axis=1)
+        if missing.any():
+            kept = kept & ~missing
+            where = ", ".join(f"{value:g}" for value in position)
+            notes.append(f"{np.count_nonzero(missing)} points at ({where}) are missing readings and were left out")
+    strays, distance = _strays(points[kept])
+    if strays.any():
+        notes.append(
+            f"{np.count_nonzero(strays)} of {len(points)} points lie far from the others, up to {distance:.3g} units "
+            "of the file, and were left out"
+        )
+        kept[kept] = ~strays
+    if kept.all():
+        return cloud
+    colors, normals = (None if each is None else each[kept] for each in (cloud.colors, cloud.normals))
+    return replace(cloud, points=points[kept], colors=colors, normals=normals, notes=(*cloud.notes, *notes))
+
+
+def _repeated(points: Array) -> Array:
+    """Return the origin and the positions (k, 3) that many points share."""
+    positions, counts = np.unique(points[:: len(points) // _SAMPLES + 1], axis=0, return_counts=True)
+    return np.concatenate([np.zeros((1, 3)), positions[counts >= _MIN_REPEATS]])
+
+
+def _strays(points: Array) -> tuple[npt.NDArray[np.bool_], float]:
+    """Return which points (n, 3) are strays, and how far the farthest of them is from the middle of the others."""
+    none = np.zeros(len(points), dtype=bool)
+    if not len(points):
+        return none, 0.0
+    with np.errstate(over="ignore"):
+        distance = np.abs(points - np.median(points, axis=0)).max(axis=1)
+    reach = float(np.median(distance))
+    far = distance > _FAR * reach
+    if reach == 0 or not far.any():
+        return none, 0.0
+    strays = far & (group_sizes(points, reach) < _SMALL * len(points))
+    return strays, float(distance[strays].max(initial=0.0))
 
 
 class Guess(NamedTuple):

@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from greenhouse_gym.capture.formats.image_lists import POSE_TOLERANCE, nearest_in_time
 from greenhouse_gym.capture.formats.ros_messages import StaticFrames, bare_name, pose_of
 from greenhouse_gym.capture.formats.single_camera import RIG_FROM_CAMERA
-from greenhouse_gym.capture.formats.trajectories import POSE_TOLERANCE, nearest_in_time
 from greenhouse_gym.geometry import Array
 
 ODOMETRY, POSE = "nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped"

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from greenhouse_gym.capture.formats.image_lists import nearest_in_time
 from greenhouse_gym.capture.formats.ros_messages import CAMERA_INFO, IMAGES
-from greenhouse_gym.capture.formats.trajectories import nearest_in_time
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.geometry import Array
 

@@ -17,7 +17,7 @@ import numpy as np
 from greenhouse_gym.capture.formats.bag_poses import ODOMETRY, POSE, PoseTopic, TimedPoses, rig_poses
 from greenhouse_gym.capture.formats.bag_readers import OpenBag, open_bag
 from greenhouse_gym.capture.formats.bag_topics import CameraTopics, MessageKey, cameras_of, is_rectified, match_moments
-from greenhouse_gym.capture.formats.pairs import Pair
+from greenhouse_gym.capture.formats.image_lists import POSE_TOLERANCE, nearest_in_time
 from greenhouse_gym.capture.formats.ros_messages import (
     StaticFrames,
     bare_name,
@@ -29,11 +29,9 @@ from greenhouse_gym.capture.formats.ros_messages import (
     static_frames,
     track,
 )
-from greenhouse_gym.capture.formats.single_camera import RIG_FROM_CAMERA
-from greenhouse_gym.capture.formats.trajectories import POSE_TOLERANCE, nearest_in_time
-from greenhouse_gym.capture.frames import RgbdFrame, Station
+from greenhouse_gym.capture.formats.single_camera import RIG_FROM_CAMERA, Pair
 from greenhouse_gym.capture.recordings import Recording
-from greenhouse_gym.capture.rig import Camera, Rig
+from greenhouse_gym.capture.rig import Camera, RgbdFrame, Rig, Station
 from greenhouse_gym.common.files import parsing
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.geometry import Array, invert, pose

@@ -8,8 +8,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import BaseModel, Field, TypeAdapter
 
-from greenhouse_gym.capture.formats.pairs import Lens, Pair
-from greenhouse_gym.capture.formats.single_camera import video
+from greenhouse_gym.capture.formats.single_camera import Lens, Pair, video
 from greenhouse_gym.capture.image_files import read_any_color
 from greenhouse_gym.capture.recordings import Recording, checked_pose
 from greenhouse_gym.capture.rig import Intrinsics

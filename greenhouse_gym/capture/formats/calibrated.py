@@ -6,10 +6,8 @@ import json
 import re
 from pathlib import Path
 
-from greenhouse_gym.capture.formats.image_lists import depth_partners, sorted_images
-from greenhouse_gym.capture.formats.pairs import Lens, Pair, distorted_lens
-from greenhouse_gym.capture.formats.single_camera import video
-from greenhouse_gym.capture.formats.trajectories import read_poses
+from greenhouse_gym.capture.formats.image_lists import depth_partners, read_poses, sorted_images
+from greenhouse_gym.capture.formats.single_camera import Lens, Pair, distorted_lens, video
 from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.capture.rig import Intrinsics
 from greenhouse_gym.common.files import parsing, read_bytes

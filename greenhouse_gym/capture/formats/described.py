@@ -23,14 +23,18 @@ from typing import Annotated, TypeAlias
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from greenhouse_gym.capture.formats.image_lists import check_numbers, poses_by_id, sorted_images
-from greenhouse_gym.capture.formats.pairs import Lens, Pair, distorted_lens
-from greenhouse_gym.capture.formats.single_camera import CAMERA, RIG_FROM_CAMERA, station_pose
-from greenhouse_gym.capture.formats.trajectories import read_poses
-from greenhouse_gym.capture.frames import Station
+from greenhouse_gym.capture.formats.image_lists import check_numbers, poses_by_id, read_poses, sorted_images
+from greenhouse_gym.capture.formats.single_camera import (
+    CAMERA,
+    RIG_FROM_CAMERA,
+    Lens,
+    Pair,
+    distorted_lens,
+    station_pose,
+)
 from greenhouse_gym.capture.image_files import read_any_color, read_any_depth
 from greenhouse_gym.capture.recordings import Recording, checked_pose
-from greenhouse_gym.capture.rig import Camera, Intrinsics, Rig
+from greenhouse_gym.capture.rig import Camera, Intrinsics, Rig, Station
 from greenhouse_gym.common.extras import needs
 from greenhouse_gym.common.files import inside, parsing, read_bytes
 from greenhouse_gym.errors import FileFormatError

@@ -10,8 +10,7 @@ from pydantic import BaseModel, Field
 
 from greenhouse_gym.capture.formats.image_lists import depth_partners, numbers, sorted_images
 from greenhouse_gym.capture.formats.own import INDEX
-from greenhouse_gym.capture.formats.pairs import Lens, Pair
-from greenhouse_gym.capture.formats.single_camera import video
+from greenhouse_gym.capture.formats.single_camera import Lens, Pair, video
 from greenhouse_gym.capture.recordings import Recording, checked_pose
 from greenhouse_gym.capture.rig import Intrinsics
 from greenhouse_gym.common.files import parsing, read_bytes

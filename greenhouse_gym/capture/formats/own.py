@@ -15,12 +15,11 @@ from typing import Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, model_validator
 
-from greenhouse_gym.capture.frames import Station
 from greenhouse_gym.capture.image_files import encode_png
 from greenhouse_gym.capture.recordings import Pass, Recording, checked_pose, read_frame
-from greenhouse_gym.capture.rig import Camera, Intrinsics, Rig
-from greenhouse_gym.capture.truth_file import TRUTH, load_truth, save_truth
+from greenhouse_gym.capture.rig import Camera, Intrinsics, Rig, Station
 from greenhouse_gym.common.files import exclusive, inside, parsing, read_bytes, write_atomically
+from greenhouse_gym.crops.truth_shapes import TRUTH, load_truth, save_truth
 from greenhouse_gym.errors import FileFormatError, InvalidValueError
 from greenhouse_gym.geometry import Array
 

@@ -18,8 +18,8 @@ from types import MappingProxyType
 from typing import Protocol
 
 from greenhouse_gym.capture.formats import bags, bop, calibrated, described, open3d, own, scannet, tum
-from greenhouse_gym.capture.frames import RgbdFrame, Station
 from greenhouse_gym.capture.recordings import Recording
+from greenhouse_gym.capture.rig import RgbdFrame, Station
 from greenhouse_gym.common.files import parsing
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, UnknownNameError
 

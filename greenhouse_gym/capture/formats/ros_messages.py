@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from greenhouse_gym.capture.formats.pairs import Lens, distorted_lens
-from greenhouse_gym.capture.formats.trajectories import nearest_in_time
+from greenhouse_gym.capture.formats.image_lists import nearest_in_time
+from greenhouse_gym.capture.formats.single_camera import Lens, distorted_lens
 from greenhouse_gym.capture.image_files import PNG_START, decode
 from greenhouse_gym.capture.rig import Intrinsics
 from greenhouse_gym.common.extras import needs

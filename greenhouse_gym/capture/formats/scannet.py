@@ -6,10 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from greenhouse_gym.capture.formats.image_lists import depth_partners, sorted_images
-from greenhouse_gym.capture.formats.pairs import Lens, Pair
-from greenhouse_gym.capture.formats.single_camera import video
-from greenhouse_gym.capture.formats.trajectories import read_numbers
+from greenhouse_gym.capture.formats.image_lists import depth_partners, read_numbers, sorted_images
+from greenhouse_gym.capture.formats.single_camera import Lens, Pair, video
 from greenhouse_gym.capture.image_files import read_any_color, read_any_depth
 from greenhouse_gym.capture.recordings import Recording, checked_pose
 from greenhouse_gym.capture.rig import Intrinsics

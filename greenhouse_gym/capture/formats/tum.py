@@ -6,9 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from greenhouse_gym.capture.formats.pairs import Lens, Pair
-from greenhouse_gym.capture.formats.single_camera import video
-from greenhouse_gym.capture.formats.trajectories import POSE_TOLERANCE, nearest_in_time, read_numbers, read_poses
+from greenhouse_gym.capture.formats.image_lists import POSE_TOLERANCE, nearest_in_time, read_numbers, read_poses
+from greenhouse_gym.capture.formats.single_camera import Lens, Pair, video
 from greenhouse_gym.capture.image_files import read_any_color
 from greenhouse_gym.capture.recordings import Recording
 from greenhouse_gym.capture.rig import Intrinsics

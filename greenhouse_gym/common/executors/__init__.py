@@ -1,10 +1,12 @@
 """Executors that spread work over the cores of one machine or of a cluster, with the same results as on one core."""
 
-from greenhouse_gym.common.executors.backends import BACKENDS, executor_for, idle_cores
 from greenhouse_gym.common.executors.ray_executor import RayExecutor
 from greenhouse_gym.common.executors.spreading import (
+    BACKENDS,
     WorkerLostError,
     completed,
+    executor_for,
+    idle_cores,
     portable,
     processes,
     usable_cores,

@@ -30,12 +30,15 @@ from multiprocessing.connection import Connection
 from numbers import Integral
 from typing import Any, TypeVar
 
-from greenhouse_gym.errors import GreenhouseError, InvalidValueError
+from greenhouse_gym.errors import GreenhouseError, InvalidValueError, require_choice
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 _TASKS_PER_WORKER = 2  # scheduled at a time, the running one included: no worker idles, and few tasks need canceling
+
+BACKENDS = ("serial", "processes", "ray")
+"""Names of the backends: this process, processes of this machine, or a Ray cluster."""
 
 
 class WorkerLostError(GreenhouseError, RuntimeError):
@@ -200,3 +203,37 @@ def _end_with(lifeline: Connection[Any, Any]) -> None:
         lifeline.recv_bytes()  # nothing is ever sent
     except (EOFError, OSError):
         os._exit(1)
+
+
+@contextmanager
+def executor_for(backend: str, workers: int | None = None, address: str = "local") -> Iterator[Executor | None]:
+    """Provide the executor of a backend for the duration of a ``with`` block.
+
+    Args:
+        backend: One of `BACKENDS`.
+        workers: Processes on this machine; None for one per core. A cluster elsewhere has its own number.
+        address: Address of the Ray cluster, as `RayExecutor` takes it.
+
+    Yields:
+        The executor; None for "serial".
+
+    Raises:
+        UnknownNameError: The backend does not exist.
+    """
+    require_choice("backend", backend, BACKENDS)
+    if backend == "serial":
+        yield None
+    elif backend == "processes":
+        with processes(workers) as pool:
+            yield pool
+    else:
+        from greenhouse_gym.common.executors.ray_executor import RayExecutor
+
+        with RayExecutor(address, workers=workers) as cluster:
+            yield cluster
+
+
+def idle_cores() -> int:
+    """Return the number of idle cores, estimated from the load of the last minute where the system reports it."""
+    busy = os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0
+    return max(0, usable_cores() - round(busy))

@@ -17,9 +17,9 @@ from greenhouse_gym.envs.state import Bools, State, lengths
 from greenhouse_gym.envs.task import TARGET_FEATURES, Outcome, Task
 from greenhouse_gym.errors import InvalidValueError, require_choice
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.plants.layout import ATTACHED, Layout
-from greenhouse_gym.plants.mechanics import PlantMechanics
 from greenhouse_gym.scene import Scene
+from greenhouse_gym.scene.plants.layout import ATTACHED, Layout
+from greenhouse_gym.scene.plants.mechanics import PlantMechanics
 
 RIPE = 0.6
 """Ripeness from which a tomato is picked."""

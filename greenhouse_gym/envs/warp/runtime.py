@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from greenhouse_gym.common.memory import available_memory
+from greenhouse_gym.common.isolation import available_memory
 from greenhouse_gym.errors import InvalidValueError, require_choice
 
 DEVICES = ("cpu", "cuda")

@@ -1,26 +1,51 @@
 """Large fruit: spheres fitted in two passes, scored by a classifier for each, and selected without overlap.
 
 The first pass fits spheres of any size. The second searches around the first pass's confident fruit for spheres of
-the same size and hue; see `hidden_fruit`.
+the same size and hue. Only a narrow piece of such a fruit shows, and its normals are distorted by its neighbors, so
+neither its size nor the direction of its center can be estimated from it. So every point near a truss that is not yet
+explained, and has its hue, votes for all centers at one radius behind it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
+from scipy.spatial import cKDTree
 
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.shapes.fruit.context_features import CONTEXT_FEATURES, context_features
-from greenhouse_gym.shapes.fruit.hidden_fruit import fit_hidden
-from greenhouse_gym.shapes.fruit.shell_features import shell_features
-from greenhouse_gym.shapes.fruit.sphere_features import MAX_CONTRAST, SPHERE_FEATURES, sphere_features
-from greenhouse_gym.shapes.fruit.spheres import SphereFit, fit_spheres, is_separate, vote
-from greenhouse_gym.shapes.fruit.trusses import group_neighbors
+from greenhouse_gym.shapes.evidence import SHELL
+from greenhouse_gym.shapes.fruit.sphere_features import (
+    CONTEXT_FEATURES,
+    MAX_CONTRAST,
+    SPHERE_FEATURES,
+    context_features,
+    shell_features,
+    sphere_features,
+)
+from greenhouse_gym.shapes.fruit.spheres import (
+    SIZE_KNOWN,
+    Bounds,
+    SphereFit,
+    dense_cells,
+    even_directions,
+    fit_spheres,
+    is_separate,
+    local_maxima,
+    vote,
+)
+from greenhouse_gym.shapes.fruit.trusses import NEIGHBOR_GAP, group_neighbors
 from greenhouse_gym.shapes.networks import network
 from greenhouse_gym.shapes.settings import ShapeSettings
 from greenhouse_gym.shapes.surface_cloud import SurfaceCloud, fruit_mask
+
+_VOTE_CELL = 1 / 3  # side of the vote's cells, in radii
+_MIN_VOTERS = 7  # points that vote for one center
+_HUE_TOLERANCE = 0.15  # redness by which a fruit may differ from those of its truss
+_HIDDEN_OVERLAP = 0.15  # radii by which a sphere may reach into its neighbors
 
 Classifier = Callable[[Array], Array]
 """Returns the confidence (k,), 0 to 1, that spheres with features (k, m) are fruit."""
@@ -46,6 +71,59 @@ _CONTRAST = SPHERE_FEATURES.index("contrast")
 _SMALLER_CURVATURE = SPHERE_FEATURES.index("smaller curvature")
 _PATCH_CURVATURE = SPHERE_FEATURES.index("patch's smaller curvature")
 _NEIGHBORS = len(SPHERE_FEATURES) + CONTEXT_FEATURES.index("neighbors")
+
+
+def fit_hidden(
+    skin: SurfaceCloud, found: list[SphereFit], trusses: npt.NDArray[np.int32], radii: Bounds
+) -> list[SphereFit]:
+    """Fit spheres of the sizes of their trusses to points that the fruit found so far does not explain.
+
+    Args:
+        skin: The points that may be fruit.
+        found: The fruit found so far, among ``skin``.
+        trusses: (k,) truss number of each fruit.
+        radii: Smallest and largest radius of tomatoes, metres.
+
+    Returns:
+        Spheres among ``skin``.
+    """
+    explained = np.zeros(len(skin), dtype=bool)
+    tree = cKDTree(skin.points)
+    for fit in found:
+        explained[tree.query_ball_point(fit.center, fit.radius + SHELL)] = True
+    left = np.flatnonzero(~explained)
+    if not len(left):
+        return []
+    hue = np.array([np.median(skin.hues[fit.points]) for fit in found])
+    points, normals, hues = skin.points[left], skin.normals[left], skin.hues[left]
+    tree = cKDTree(points)
+    candidates = [np.zeros((0, 4))]
+    for truss in np.unique(trusses):
+        own = np.flatnonzero(trusses == truss)
+        centers = np.array([found[i].center for i in own])
+        radius = float(np.median([found[i].radius for i in own]))
+        balls = tree.query_ball_point(centers, 3 * radius + NEIGHBOR_GAP)
+        near = np.unique(np.concatenate([np.array(ball, dtype=np.int64) for ball in balls]))
+        alike = (hues[near] > hue[own].min() - _HUE_TOLERANCE) & (hues[near] < hue[own].max() + _HUE_TOLERANCE)
+        candidates.append(_vote(points[near[alike]], normals[near[alike]], centers, radius))
+    fits = fit_spheres(points, normals, np.concatenate(candidates), radii, SIZE_KNOWN)
+    return [replace(fit, points=left[fit.points]) for fit in fits]
+
+
+def _vote(points: Array, normals: Array, centers: Array, radius: float) -> Array:
+    """Return candidates (k, 4) next to the fruits at ``centers`` that points (n, 3) vote for."""
+    directions = even_directions(round(4 * np.pi / _VOTE_CELL**2))
+    point, direction = np.nonzero(normals @ directions.T > 0)
+    votes = points[point] - radius * directions[direction]
+    gap = cKDTree(centers).query(votes)[0] - 2 * radius
+    votes = votes[(gap > -_HIDDEN_OVERLAP * radius) & (gap < NEIGHBOR_GAP)]
+    if not len(votes):
+        return np.zeros((0, 4))
+    cell = _VOTE_CELL * radius
+    per_point = 9 * _VOTE_CELL**2 * len(directions) / (4 * np.pi)  # number of a point's votes near one center
+    cells, count = dense_cells(votes / cell, _MIN_VOTERS * per_point)
+    cells = cells[local_maxima(cells, count, 0.6 / _VOTE_CELL)] * cell
+    return np.column_stack([cells, np.full(len(cells), radius)])
 
 
 class SphereClassifiers(NamedTuple):

@@ -18,11 +18,10 @@ from scipy.spatial import cKDTree
 
 from greenhouse_gym.geometry import Array, Sphere
 from greenhouse_gym.geometry.point_clouds import Cloud, group_sizes, voxel_means
-from greenhouse_gym.shapes.colors import redness
 from greenhouse_gym.shapes.evidence import SHELL, nearest_shapes
 from greenhouse_gym.shapes.fruit.spheres import SphereFit
 from greenhouse_gym.shapes.settings import ShapeSettings
-from greenhouse_gym.shapes.surface_cloud import Mask, SurfaceCloud
+from greenhouse_gym.shapes.surface_cloud import Mask, SurfaceCloud, redness
 
 RED = 0.22
 """(R - G) / (R + G) above which skin is red: about half way from leaves to ripe fruit."""

@@ -14,12 +14,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.shapes.colors import colorful_mask
 from greenhouse_gym.shapes.evidence import SHELL
-from greenhouse_gym.shapes.fruit.context_features import context_features
 from greenhouse_gym.shapes.fruit.large_fruit import Classifier, ScoredFruit, hues_of
-from greenhouse_gym.shapes.fruit.shell_features import shell_features
-from greenhouse_gym.shapes.fruit.sphere_features import sphere_features
+from greenhouse_gym.shapes.fruit.sphere_features import context_features, shell_features, sphere_features
 from greenhouse_gym.shapes.fruit.spheres import (
     ROUGHLY_KNOWN,
     SphereFit,
@@ -30,7 +27,7 @@ from greenhouse_gym.shapes.fruit.spheres import (
 )
 from greenhouse_gym.shapes.networks import network
 from greenhouse_gym.shapes.settings import ShapeSettings
-from greenhouse_gym.shapes.surface_cloud import NO_LEAF, SurfaceCloud
+from greenhouse_gym.shapes.surface_cloud import NO_LEAF, SurfaceCloud, colorful_mask
 
 _RADII = 8  # radii tried, half of them in each octave
 _CURVATURES = (35.0, 20.0)  # 1/m: larger curvature that a point needs to vote for the radii of each octave

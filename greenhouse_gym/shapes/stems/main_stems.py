@@ -11,9 +11,8 @@ from scipy import ndimage
 
 from greenhouse_gym.crops.parts import Stem, StemKind
 from greenhouse_gym.geometry import Array, distance_to_capsules
-from greenhouse_gym.shapes.robust_fit import gauss_newton_step, tukey_weights
+from greenhouse_gym.shapes.robust_fit import fit_polyline, gauss_newton_step, tukey_weights
 from greenhouse_gym.shapes.settings import ShapeSettings
-from greenhouse_gym.shapes.stems.polylines import fit_polyline
 
 STRING_RADIUS = 0.001
 """Radius of a string in metres, too thin to measure."""

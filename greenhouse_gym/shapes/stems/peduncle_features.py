@@ -15,11 +15,9 @@ from scipy.spatial import cKDTree
 from greenhouse_gym.crops.parts import Stem, Tomato
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.geometry.point_clouds import means_by_voxel
-from greenhouse_gym.shapes.colors import redness
-from greenhouse_gym.shapes.evidence import SHELL, nearest_shapes
-from greenhouse_gym.shapes.fruit.skin import off_skin_mask
+from greenhouse_gym.shapes.evidence import SHELL, nearest_shapes, off_skin_mask
 from greenhouse_gym.shapes.neighborhoods import Neighborhoods
-from greenhouse_gym.shapes.surface_cloud import NO_LEAF, SurfaceCloud
+from greenhouse_gym.shapes.surface_cloud import NO_LEAF, SurfaceCloud, redness
 
 PEDUNCLE_RADIUS = 0.0019
 """Radius of a peduncle in metres, too thin to measure; 3 to 4.5 mm in diameter are usual."""

@@ -19,8 +19,8 @@ from scipy.spatial import cKDTree
 
 from greenhouse_gym.crops.parts import Stem, StemKind, Tomato
 from greenhouse_gym.geometry import Array, closest_on_segments, distance_to_spheres
+from greenhouse_gym.shapes.robust_fit import fit_polyline, smooth_polyline
 from greenhouse_gym.shapes.stems.peduncle_features import PATH_STEP, PEDUNCLE_RADIUS, TRUSS_REACH
-from greenhouse_gym.shapes.stems.polylines import fit_polyline, smooth_polyline
 
 Mask = npt.NDArray[np.bool_]
 Rows = npt.NDArray[np.int64]

@@ -8,8 +8,7 @@ from shape_clouds import half_sphere, plane, together
 
 from greenhouse_gym.geometry import Box, distance_to_shapes
 from greenhouse_gym.shapes import FINE_SHAPES, ShapeSettings, extract_shapes
-from greenhouse_gym.shapes.clutter.boxes import COVERED, bounding_box, box_budget, cover_with_boxes
-from greenhouse_gym.shapes.clutter.patches import CELL
+from greenhouse_gym.shapes.clutter import CELL, COVERED, bounding_box, box_budget, cover_with_boxes
 
 SETTINGS = ShapeSettings()
 

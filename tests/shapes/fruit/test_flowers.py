@@ -8,7 +8,7 @@ from shape_clouds import RED, half_sphere, together
 from greenhouse_gym.crops import Palette
 from greenhouse_gym.geometry import Sphere
 from greenhouse_gym.geometry.point_clouds import Cloud, voxel_means
-from greenhouse_gym.shapes.fruit.flowers import find_flowers, flower_mask, petal_mask
+from greenhouse_gym.shapes.fruit.detection import find_flowers, flower_mask, petal_mask
 from greenhouse_gym.shapes.surface_cloud import SurfaceCloud, measure_surface
 
 PETAL = np.array([0.9, 0.82, 0.06])

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from greenhouse_gym.shapes import ShapeSettings
-from greenhouse_gym.shapes.fruit.context_features import CONTEXT_FEATURES
 from greenhouse_gym.shapes.fruit.large_fruit import (
     SEED_WEIGHTS,
     Candidates,
@@ -14,8 +13,7 @@ from greenhouse_gym.shapes.fruit.large_fruit import (
     large_fruit,
     shipped_classifiers,
 )
-from greenhouse_gym.shapes.fruit.shell_features import SHELL_FEATURES
-from greenhouse_gym.shapes.fruit.sphere_features import MAX_CONTRAST, SPHERE_FEATURES
+from greenhouse_gym.shapes.fruit.sphere_features import CONTEXT_FEATURES, MAX_CONTRAST, SHELL_FEATURES, SPHERE_FEATURES
 from greenhouse_gym.shapes.fruit.spheres import SphereFit
 from greenhouse_gym.shapes.surface_cloud import SurfaceCloud
 

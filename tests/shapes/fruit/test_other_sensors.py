@@ -11,7 +11,7 @@ from shape_clouds import RED
 from greenhouse_gym.capture import Intrinsics, TimeOfFlightNoise, sense_time_of_flight
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.geometry.point_clouds import Cloud
-from greenhouse_gym.reconstruction.depth_normals import image_normals
+from greenhouse_gym.reconstruction.station_views import image_normals
 from greenhouse_gym.shapes import RowShapes, ShapeWarning, extract_shapes
 
 CAMERA = Intrinsics(320, 240, 450.0, 450.0, 159.5, 119.5)

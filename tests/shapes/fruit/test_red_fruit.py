@@ -9,8 +9,8 @@ from shape_clouds import CAMERA, RED, together
 from greenhouse_gym.geometry import Sphere
 from greenhouse_gym.geometry.point_clouds import Cloud, voxel_means
 from greenhouse_gym.shapes import ShapeSettings
-from greenhouse_gym.shapes.domain import outside_domain
 from greenhouse_gym.shapes.fruit.red_fruit import find_red, sits_on
+from greenhouse_gym.shapes.input_checks import outside_domain
 from greenhouse_gym.shapes.surface_cloud import SurfaceCloud, measure_surface
 
 SETTINGS = ShapeSettings()

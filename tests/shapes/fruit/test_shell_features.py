@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from greenhouse_gym.geometry import Array, Sphere
-from greenhouse_gym.shapes.fruit.shell_features import COLOR_FEATURES, SHELL_FEATURES, shell_features
+from greenhouse_gym.shapes.fruit.sphere_features import COLOR_FEATURES, SHELL_FEATURES, shell_features
 from greenhouse_gym.shapes.surface_cloud import NO_LEAF, SurfaceCloud
 
 SPACING = 0.002

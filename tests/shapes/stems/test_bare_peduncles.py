@@ -8,7 +8,7 @@ import pytest
 from greenhouse_gym.crops.parts import Stem
 from greenhouse_gym.geometry import distance_to_shapes
 from greenhouse_gym.shapes import ShapeSettings
-from greenhouse_gym.shapes.stems.bare_peduncles import MIN_LENGTH, find_bare_peduncles
+from greenhouse_gym.shapes.stems.traced_peduncles import MIN_LENGTH, find_bare_peduncles
 
 SETTINGS = ShapeSettings()
 

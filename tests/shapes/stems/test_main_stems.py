@@ -8,7 +8,7 @@ import pytest
 from greenhouse_gym.crops.parts import Stem
 from greenhouse_gym.geometry import Array, distance_to_shapes, frame_along
 from greenhouse_gym.shapes import ShapeSettings, extract_shapes
-from greenhouse_gym.shapes.normal_estimation import estimate_normals
+from greenhouse_gym.shapes.neighborhoods import estimate_normals
 from greenhouse_gym.shapes.stems.main_stems import STRING_RADIUS, find_main_stems
 
 SETTINGS = ShapeSettings()

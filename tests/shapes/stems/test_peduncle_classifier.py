@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from greenhouse_gym.shapes.stems.peduncle_classifier import CONTEXT, peduncle_probability, with_context
 from greenhouse_gym.shapes.stems.peduncle_features import FEATURES, PeduncleCandidates
+from greenhouse_gym.shapes.stems.traced_peduncles import CONTEXT, peduncle_probability, with_context
 
 LINE = 30
 

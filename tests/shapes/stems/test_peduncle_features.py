@@ -11,7 +11,7 @@ from greenhouse_gym.crops.parts import Stem, Tomato
 from greenhouse_gym.geometry import Sphere, frame_along
 from greenhouse_gym.geometry.point_clouds import Cloud, merge, voxel_means
 from greenhouse_gym.shapes import ShapeSettings
-from greenhouse_gym.shapes.fruit.skin import off_skin_mask
+from greenhouse_gym.shapes.evidence import off_skin_mask
 from greenhouse_gym.shapes.networks import network, network_file
 from greenhouse_gym.shapes.stems.peduncle_features import (
     COLOR_FEATURES,

@@ -9,7 +9,7 @@ import pytest
 
 from greenhouse_gym.crops.parts import Stem
 from greenhouse_gym.geometry import distance_to_shapes
-from greenhouse_gym.shapes.stems.polylines import fit_polyline, simplify_polyline
+from greenhouse_gym.shapes.robust_fit import fit_polyline, simplify_polyline
 
 
 @pytest.mark.parametrize("tolerance", [0.001, 0.01])

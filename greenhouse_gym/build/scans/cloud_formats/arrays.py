@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from greenhouse_gym.build.scans.cloud_formats.columns import named_parts, positional_parts
-from greenhouse_gym.build.scans.cloud_formats.parts import Parts
+from greenhouse_gym.build.scans.cloud_formats.columns import Parts, named_parts, positional_parts
 from greenhouse_gym.common.array_files import read_array, read_arrays
 from greenhouse_gym.common.files import MAX_BYTES, read_bytes
 from greenhouse_gym.errors import FileFormatError

@@ -9,7 +9,11 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import IO
 
-from greenhouse_gym.build.scans.cloud_formats import native_script
+import numpy as np
+
+from greenhouse_gym.build.scans.cloud_formats import columns, native_script
+from greenhouse_gym.build.scans.cloud_formats.columns import Parts, fractions
+from greenhouse_gym.build.scans.cloud_formats.native_script import E57_POINT
 from greenhouse_gym.common.isolation import IsolatedError, isolated_output
 from greenhouse_gym.errors import FileFormatError, MissingDependencyError
 
@@ -43,3 +47,24 @@ def native_output(path: Path, function: str, arguments: Sequence[int], package: 
         if "ImportError" in error.kind or "ModuleNotFoundError" in error.kind:
             raise MissingDependencyError(package, "scans", problem=str(error)) from error
         raise FileFormatError(path, f"cannot be read: {error}") from error
+
+
+def read_e57(path: Path) -> Parts:
+    """Read positions and colors of all scans.
+
+    Raises:
+        FileFormatError: The file is damaged.
+        MissingDependencyError: The package pye57 is not installed.
+    """
+    with native_output(path, "write_e57", [columns.MAX_POINTS], "pye57") as file:
+        total, scans = json.loads(file.readline())
+        points = np.fromfile(file, E57_POINT)
+    if len(points) != sum(kept for kept, _, _ in scans):
+        raise FileFormatError(path, f"cut short: fewer than its {total} points are there")
+    colors, done = points["rgb"].astype(np.float64), 0
+    for kept, black, white in scans:
+        part = colors[done : done + kept]
+        stated = white > black and not ((part < black) | (part > white)).any()
+        part[:] = (part - black) / (white - black) if stated else fractions(path, part)
+        done += kept
+    return Parts(points["xyz"], colors if np.isfinite(colors).any() else None, None, total)

@@ -12,8 +12,7 @@ from typing import IO, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.build.scans.cloud_formats.columns import named_parts
-from greenhouse_gym.build.scans.cloud_formats.parts import Parts, every, read_records, require_all
+from greenhouse_gym.build.scans.cloud_formats.columns import Parts, every, named_parts, read_records, require_all
 from greenhouse_gym.build.scans.cloud_formats.text_table import as_declared, lines_of, numbers
 from greenhouse_gym.errors import FileFormatError
 

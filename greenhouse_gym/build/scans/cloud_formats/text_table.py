@@ -11,8 +11,15 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.build.scans.cloud_formats.columns import POSITIONAL, holds_positions, named_parts, positional_parts
-from greenhouse_gym.build.scans.cloud_formats.parts import Parts, every, require_all
+from greenhouse_gym.build.scans.cloud_formats.columns import (
+    POSITIONAL,
+    Parts,
+    every,
+    holds_positions,
+    named_parts,
+    positional_parts,
+    require_all,
+)
 from greenhouse_gym.common.files import text_encoding
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.geometry import Array

@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from greenhouse_gym.geometry import Array, Box, pose, transformed
-from greenhouse_gym.plants.live import HANGING, LivePlants
 from greenhouse_gym.scene import CompiledScene, Scene
+from greenhouse_gym.scene.plants.live import HANGING, LivePlants
 
 _AT_REST = 2e-4  # metres and radians by which an organ may have moved and still be where it was scanned
 

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.plants.detachment import (
+from greenhouse_gym.scene.plants.detachment import (
     detach,
     first_geom,
     held_force,
@@ -20,9 +20,9 @@ from greenhouse_gym.plants.detachment import (
     stress,
     weld,
 )
-from greenhouse_gym.plants.layout import CRATE_BOXES, Crate, Layout
-from greenhouse_gym.plants.mechanics import GRAVITY
-from greenhouse_gym.plants.slots import Planted
+from greenhouse_gym.scene.plants.layout import CRATE_BOXES, Crate, Layout
+from greenhouse_gym.scene.plants.mechanics import GRAVITY
+from greenhouse_gym.scene.plants.slots import Planted
 
 EMPTY, HANGING, LOOSE, CRATED, LOST = -1, 0, 1, 2, 3
 """States of a fruit: no fruit in the slot, on its truss, off it and on the move, at rest in the crate, at rest or on

@@ -8,8 +8,8 @@ import mujoco
 import numpy as np
 
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.plants.mechanics import BALL_ARMATURE, HINGE_ARMATURE, HINGE_RANGE
 from greenhouse_gym.robots.robot import CUP_GEOM, TIP_SITE
+from greenhouse_gym.scene.plants.mechanics import BALL_ARMATURE, HINGE_ARMATURE, HINGE_RANGE
 
 ARM, CUP, LOOSE = 1, 2, 4
 """Bits of collision masks: links of the arm, its cup, and fruit that came off."""

@@ -6,9 +6,9 @@ import mujoco
 import numpy as np
 
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.plants.layout import ALL, CUP, LOOSE, SlotIds
-from greenhouse_gym.plants.mechanics import GRAVITY, PlantMechanics
 from greenhouse_gym.scene.obstacle_slots import build_tree
+from greenhouse_gym.scene.plants.layout import ALL, CUP, LOOSE, SlotIds
+from greenhouse_gym.scene.plants.mechanics import GRAVITY, PlantMechanics
 
 _STUB_MASS, _STUB_INERTIA = 1e-3, 1e-6  # kg, kg m^2: pedicel that stays when its fruit has come off
 _STUB_DAMPING = 0.02  # N m s/rad
@@ -88,7 +88,7 @@ def shape_loose(model: mujoco.MjModel, old: int, new: int) -> None:
 
 
 def _mass_of(model: mujoco.MjModel, geom: int, density: float) -> tuple[float, Array]:
-    """Return mass and principal moments of a fruit's geom, as `greenhouse_gym.plants.mechanics` computes them."""
+    """Return mass and principal moments of a fruit's geom, as `greenhouse_gym.scene.plants.mechanics` computes them."""
     size = model.geom_size[geom]
     axes = size if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_ELLIPSOID else np.full(3, size[0])
     mass = 4 / 3 * np.pi * float(axes.prod()) * density

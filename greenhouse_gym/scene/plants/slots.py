@@ -12,7 +12,11 @@ import numpy.typing as npt
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array, ShapeArrays
 from greenhouse_gym.geometry.shape_arrays import BOX, CAPSULE
-from greenhouse_gym.plants.layout import (
+from greenhouse_gym.robots.robot import CUP_GEOM
+from greenhouse_gym.scene import CompiledScene
+from greenhouse_gym.scene.mjcf import colors_of
+from greenhouse_gym.scene.obstacle_slots import build_tree, write_geoms
+from greenhouse_gym.scene.plants.layout import (
     ALL,
     ARM,
     ATTACHED,
@@ -25,12 +29,8 @@ from greenhouse_gym.plants.layout import (
     Layout,
     SlotIds,
 )
-from greenhouse_gym.plants.mechanics import PlantMechanics, mass_properties
-from greenhouse_gym.plants.topology import Branch, Fruit, Leaf, Topology, Truss
-from greenhouse_gym.robots.robot import CUP_GEOM
-from greenhouse_gym.scene import CompiledScene
-from greenhouse_gym.scene.mjcf import colors_of
-from greenhouse_gym.scene.obstacle_slots import build_tree, write_geoms
+from greenhouse_gym.scene.plants.mechanics import PlantMechanics, mass_properties
+from greenhouse_gym.scene.plants.topology import Branch, Fruit, Leaf, Topology, Truss
 
 _UP = np.array([0.0, 0.0, 1.0])
 _UPRIGHT_MARGIN = 1.5  # stiffness of an organ above its root over that at which gravity would tip it

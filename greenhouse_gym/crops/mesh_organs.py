@@ -1,4 +1,4 @@
-"""Trusses of mesh plants: Helios' peduncles, fruit, calyx and flowers, at the size and ripeness of their age."""
+"""Organs of mesh plants from Helios: compound leaves, and trusses with peduncles, fruit, calyx and flowers."""
 
 from __future__ import annotations
 
@@ -8,15 +8,106 @@ import numpy as np
 
 from greenhouse_gym.crops.analytic_growth import push_apart
 from greenhouse_gym.crops.cultivars import Cultivar
-from greenhouse_gym.crops.helios import Vine
+from greenhouse_gym.crops.helios import Frond, Vine
 from greenhouse_gym.crops.helios_meshes import Mesh
 from greenhouse_gym.crops.organs import Organ, fruit_ellipsoid, tube_organ
 from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.geometry import Array, frame_along, rotation_about
 
+SHOOT_LEAVES_PER_METRE = 14.0
+_PLAIN = np.array([[1.0, 0.0]])
+
 _TRUSS_COLOR = (0.44, 0.56, 0.28)
 _CALYX_COLOR = (0.36, 0.50, 0.22)
 UP = np.array([0.0, 0.0, 1.0])
+
+
+class LeafPalette(NamedTuple):
+    """Leaf color of a plant: brightness R + G, redness (R - G) / (R + G), and blue as a fraction of R + G."""
+
+    light: float
+    redness: float
+    blue: float
+
+    def colors(self, tone: Array) -> Array:
+        """Return colors (t, 3) of triangles with tones (t, 2) as in `Frond`."""
+        light = self.light * tone[:, 0]
+        redness = self.redness + 0.5 * tone[:, 1]
+        rgb = np.column_stack([light * (1 + redness) / 2, light * (1 - redness) / 2, light * self.blue])
+        return np.clip(rgb, 0.0, 1.0)
+
+
+def leaf_palette(rng: np.random.Generator, redness: float) -> LeafPalette:
+    """Sample the leaf color of a plant around its row's redness (prior: standard deviation 0.01 within a row)."""
+    return LeafPalette(rng.uniform(0.58, 0.78), redness + rng.normal(0, 0.01), rng.uniform(0.15, 0.25))
+
+
+def grow_frond(
+    rng: np.random.Generator, frond: Frond, node: Array, azimuth: float, size: float, palette: LeafPalette
+) -> list[Organ]:
+    """Grow a compound leaf at a node.
+
+    Args:
+        rng: Source of all randomness.
+        frond: Its shape.
+        node: (4,) point on the main stem's axis and the stem's radius, metres.
+        azimuth: Direction of growth about z, radians.
+        size: Scale of Helios' leaf.
+        palette: Its plant's color.
+
+    Returns:
+        The petiole and the blade.
+    """
+    droop = rotation_about(np.array([0.0, 1.0, 0.0]), rng.uniform(0.0, 0.6))
+    turn = rotation_about(np.array([0.0, 0.0, 1.0]), azimuth) @ droop
+    foot = node[:3] + node[3] * 0.5 * np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+    axis = np.column_stack([size * frond.petiole[:, :3] @ turn.T + foot, size * frond.petiole[:, 3]])
+    aged = palette._replace(light=palette.light * rng.uniform(0.9, 1.1), redness=palette.redness + rng.normal(0, 0.012))
+    stalk = aged._replace(light=1.15 * aged.light, redness=aged.redness + 0.05).colors(_PLAIN)[0]
+    blade = size * frond.blade.vertices @ turn.T + foot
+    return [
+        tube_organ("petiole", axis, stalk, around=7),
+        Organ("leaf", blade, frond.blade.triangles, aged.colors(frond.tone)),
+    ]
+
+
+def grow_shoot(
+    rng: np.random.Generator,
+    vine: Vine,
+    node: Array,
+    azimuth: float,
+    length: float,
+    leaf_size: float,
+    palette: LeafPalette,
+    color: Array,
+) -> list[Organ]:
+    """Grow a side shoot: a stem that leaves the axil steeply and bends up or sags, with leaves of its own.
+
+    Args:
+        rng: Source of all randomness.
+        vine: Vine that provides the leaves.
+        node: (4,) point on the main stem's axis and the stem's radius, metres.
+        azimuth: Direction of growth about z, radians.
+        length: Its length, metres.
+        leaf_size: Scale of Helios' leaves.
+        palette: Its plant's leaf color.
+        color: (3,) color of its stem.
+    """
+    steps = max(3, int(length / 0.04))
+    slopes = np.linspace(rng.uniform(0.5, 1.1), rng.uniform(-0.4, 1.2), steps)
+    turns = azimuth + np.cumsum(rng.normal(0, 0.15, steps))
+    along = np.column_stack([np.cos(slopes) * np.cos(turns), np.cos(slopes) * np.sin(turns), np.sin(slopes)])
+    points = node[:3] + np.vstack([np.zeros(3), np.cumsum(along * length / steps, axis=0)])
+    radii = min(0.6 * node[3], 0.0025 + 0.006 * length) * np.linspace(1.0, 0.6, steps + 1)
+    axis = np.column_stack([points, radii])
+    organs = [tube_organ("main", axis, color)]
+    for leaf in range(1 + int(length * SHOOT_LEAVES_PER_METRE)):
+        fraction = (leaf + 1) / (1 + int(length * SHOOT_LEAVES_PER_METRE))
+        here = np.array([np.interp(fraction, np.linspace(0, 1, steps + 1), axis[:, k]) for k in range(4)])
+        frond = vine.fronds[int(rng.integers(len(vine.fronds)))]
+        size = leaf_size * float(rng.uniform(0.6, 1.1)) * (1.2 - 0.5 * fraction)
+        organs += grow_frond(rng, frond, here, azimuth + 2.4 * (leaf + 1), size, palette)
+    return organs
 
 
 def fruit_size(age: float) -> float:
@@ -38,14 +129,12 @@ class TrussNode(NamedTuple):
     Attributes:
         node: (4,) point on the main stem's axis and the stem's radius, metres.
         azimuth: Direction of growth about z, radians.
-        plant: Number of its plant.
         truss: Its number.
         first_fruit: Index of its first tomato in the row.
     """
 
     node: Array
     azimuth: float
-    plant: int
     truss: int
     first_fruit: int
 
@@ -66,7 +155,7 @@ def grow_mesh_truss(
     Returns:
         Its organs, and its tomatoes.
     """
-    node, azimuth, plant, truss, first_fruit = place
+    node, azimuth, truss, first_fruit = place
     number = int(rng.integers(cultivar.count[0], cultivar.count[1] + 1))
     peduncle = vine.peduncles[int(rng.integers(len(vine.peduncles)))]
     length = cultivar.rachis * rng.uniform(0.85, 1.15) * float(np.clip(0.4 + 2 * age, 0.3, 1.0))
@@ -89,7 +178,7 @@ def grow_mesh_truss(
     radii = thickness * np.interp(np.linspace(0, 1, len(points)), [0, 0.15, 1], [1.4, 1.0, 0.75])
     rachis = np.column_stack([points, radii])
     shade = np.array(_TRUSS_COLOR) * rng.uniform(0.9, 1.1)
-    organs = [tube_organ("peduncle", rachis, shade, plant, truss)]
+    organs = [tube_organ("peduncle", rachis, shade, truss)]
 
     fractions = np.linspace(0.45, 1.0, number)
     joints = np.column_stack([np.interp(fractions, np.linspace(0, 1, len(points)), points[:, k]) for k in range(3)])
@@ -107,7 +196,7 @@ def grow_mesh_truss(
     for k in range(number):
         towards = (centers[k] - joints[k]) / np.linalg.norm(centers[k] - joints[k])
         if not set_fruit[k]:
-            organs += _flower(vine, joints[k], directions[k], plant, truss, shade)
+            organs += _flower(vine, joints[k], directions[k], truss, shade)
             continue
         frame = frame_along(-towards) @ rotation_about(UP, spins[k])
         skin = _shaped(vine.fruit, widths[k], aspect, ribs, rib_count)
@@ -119,7 +208,6 @@ def grow_mesh_truss(
                 vertices,
                 skin.triangles,
                 _skin_colors(skin, np.array(cultivar.skin), ripe, rng),
-                plant,
                 truss,
                 first_fruit + len(tomatoes),
             )
@@ -127,11 +215,9 @@ def grow_mesh_truss(
         shape = fruit_ellipsoid(vertices, skin.triangles, frame)
         tomatoes.append(Tomato(shape, truss, ripe))
         top = widths[k] * aspect * vine.fruit.vertices[:, 2].max()
-        organs += _calyx(
-            vine, widths[k], full[k], top, frame, centers[k], plant, truss, first_fruit + len(tomatoes) - 1
-        )
+        organs += _calyx(vine, widths[k], full[k], top, frame, centers[k], truss, first_fruit + len(tomatoes) - 1)
         stem_end = centers[k] + frame[:, 2] * 0.85 * top
-        organs.append(_pedicel(joints[k], stem_end, 0.7 * thickness, shade, plant, truss))
+        organs.append(_pedicel(joints[k], stem_end, 0.7 * thickness, shade, truss))
     return organs, tomatoes
 
 
@@ -156,31 +242,31 @@ def _skin_colors(skin: Mesh, stops: Array, ripeness: float, rng: np.random.Gener
 
 
 def _calyx(
-    vine: Vine, width: float, full: float, top: float, frame: Array, center: Array, plant: int, truss: int, fruit: int
+    vine: Vine, width: float, full: float, top: float, frame: Array, center: Array, truss: int, fruit: int
 ) -> list[Organ]:
     """Return the sepals at the stem end, which grow earlier than the fruit."""
     size = 0.5 * width + 0.5 * min(full, 2.5 * width)
     local = vine.calyx.vertices * size
     local = local + [0.0, 0.0, top - size * vine.fruit.vertices[:, 2].max()]
     colors = np.tile(_CALYX_COLOR, (len(vine.calyx.triangles), 1))
-    return [Organ("calyx", local @ frame.T + center, vine.calyx.triangles, colors, plant, truss, fruit)]
+    return [Organ("calyx", local @ frame.T + center, vine.calyx.triangles, colors, truss, fruit)]
 
 
-def _flower(vine: Vine, joint: Array, direction: Array, plant: int, truss: int, shade: Array) -> list[Organ]:
+def _flower(vine: Vine, joint: Array, direction: Array, truss: int, shade: Array) -> list[Organ]:
     """Return an open flower on its pedicel."""
     foot = joint + 0.012 * direction
     frame = frame_along(direction)
     vertices = vine.flower.vertices @ frame.T + foot
     return [
-        Organ("flower", vertices, vine.flower.triangles, vine.flower_colors, plant, truss),
-        _pedicel(joint, foot, 0.0008, shade, plant, truss),
+        Organ("flower", vertices, vine.flower.triangles, vine.flower_colors, truss),
+        _pedicel(joint, foot, 0.0008, shade, truss),
     ]
 
 
-def _pedicel(joint: Array, end: Array, radius: float, shade: Array, plant: int, truss: int) -> Organ:
+def _pedicel(joint: Array, end: Array, radius: float, shade: Array, truss: int) -> Organ:
     """Return a pedicel, slightly bent upwards, with the knuckle at which it breaks."""
     fraction = np.array([0.0, 0.3, 0.5, 0.62, 0.74, 1.0])
     bow = 0.15 * np.linalg.norm(end - joint) * np.sin(np.pi * fraction)
     points = joint + fraction[:, None] * (end - joint) + bow[:, None] * UP
     radii = max(radius, 0.0008) * np.array([1.0, 0.95, 1.0, 1.35, 1.1, 1.25])
-    return tube_organ("pedicel", np.column_stack([points, radii]), shade, plant, truss)
+    return tube_organ("pedicel", np.column_stack([points, radii]), shade, truss)

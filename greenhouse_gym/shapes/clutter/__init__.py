@@ -1,1 +1,0 @@
-"""Clutter: oriented boxes around everything that is neither fruit nor stem."""
