@@ -14,10 +14,10 @@ from killed import Commands, contents
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="commands are forked")
 
-PPO = "--bank mini --set num_envs=4 --set rollout_steps=32 --set batch_size=64 --set hidden=[8] --set anew_steps=128"
+PPO = "--bank mini --set num_envs=4 --set rollout_steps=32 --set batch_size=64 --set hidden=[8] --set restart_steps=128"
 BC = (
     "--steps 2048 --bank mini --set ppo.num_envs=4 --set ppo.rollout_steps=32 --set ppo.batch_size=64 "
-    "--set ppo.hidden=[16,16] --set ppo.threads=1 --set ppo.anew_steps=64 "
+    "--set ppo.hidden=[16,16] --set ppo.threads=1 --set ppo.restart_steps=64 "
     "--set imitation.steps=512 --set imitation.num_envs=4"
 )
 SAC = (

@@ -94,7 +94,7 @@ def train_ppo(
         }
         report = TrainingReport(
             out, described, model, settings.num_envs * settings.rollout_steps, (VALIDATION_SPLIT,), options,
-            time_limit, checkpoint_seconds, settings.num_envs * settings.anew_steps, on_progress,
+            time_limit, checkpoint_seconds, settings.num_envs * settings.restart_steps, on_progress,
         )  # fmt: skip
         return learn(
             model, report, resume, [CriticFirst(settings.critic_rollouts - model._n_updates // settings.epochs)]

@@ -197,7 +197,7 @@ def load_checkpoint(model: Any, folder: Path) -> dict[str, Any]:
     return notes
 
 
-def begin_anew(model: Any, seed: int) -> None:
+def restart_episodes(model: Any, seed: int) -> None:
     """Start new episodes in all simulations, and all random numbers, as the seed and the steps so far decide."""
     model.set_random_seed((seed + model.num_timesteps) % 2**32)
     model._last_obs = model.get_env().reset()

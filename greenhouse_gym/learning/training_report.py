@@ -21,10 +21,10 @@ from greenhouse_gym.learning.training_files import (
     CURVE,
     VALIDATION,
     algorithm_of,
-    begin_anew,
     has_diverged,
     read_curve,
     read_notes,
+    restart_episodes,
     save_checkpoint,
     write_curve,
 )
@@ -104,8 +104,8 @@ class TrainingReport(BaseCallback):  # type: ignore[misc]
         options: Keywords of `evaluate` for the validation.
         time_limit: Seconds after which the training stops, or None.
         checkpoint_seconds: Seconds between checkpoints.
-        anew_steps: Steps of all simulations between the starts of rollouts at which all episodes and random numbers
-            begin anew. Checkpoints are written there alone, so that a training that is killed and resumed ends in the
+        restart_steps: Steps of all simulations between the starts of rollouts at which all episodes and random numbers
+            restart. Checkpoints are written there only, so that a training that is killed and resumed ends in the
             same policy. None, for trainings that a checkpoint does not hold whole: they are written at any time.
         on_progress: Called with each new line of the learning curve.
         on_validation: Called with each validation.
@@ -121,13 +121,13 @@ class TrainingReport(BaseCallback):  # type: ignore[misc]
         options: Mapping[str, Any],
         time_limit: float | None,
         checkpoint_seconds: float,
-        anew_steps: int | None = None,
+        restart_steps: int | None = None,
         on_progress: Callable[[Mapping[str, float]], None] = lambda line: None,
         on_validation: Callable[[Validation], None] = lambda validation: None,
     ):
         super().__init__()
         self.out, self.settings, self.model, self.splits, self.options = out, settings, model, splits, options
-        self.time_limit, self.checkpoint_seconds, self.anew_steps = time_limit, checkpoint_seconds, anew_steps
+        self.time_limit, self.checkpoint_seconds, self.restart_steps = time_limit, checkpoint_seconds, restart_steps
         self.on_progress, self.on_validation = on_progress, on_validation
         self.curve_steps, self.validation_steps = curve_steps, settings["validation_steps"]
         done = model.num_timesteps
@@ -144,10 +144,10 @@ class TrainingReport(BaseCallback):  # type: ignore[misc]
         self.show = self.display.enter_context(progress("steps of training", settings["total_steps"]))
 
     def _on_rollout_start(self) -> None:
-        if self.anew_steps and self.num_timesteps // self.anew_steps > self.last_start // self.anew_steps:
+        if self.restart_steps and self.num_timesteps // self.restart_steps > self.last_start // self.restart_steps:
             if time.monotonic() - self.saved > self.checkpoint_seconds:
                 self.save()
-            begin_anew(self.model, self.settings["seed"])
+            restart_episodes(self.model, self.settings["seed"])
         self.last_start = self.num_timesteps
 
     def _on_step(self) -> bool:
@@ -165,7 +165,7 @@ class TrainingReport(BaseCallback):  # type: ignore[misc]
         if self._passed(self.curve_steps):
             self._add_line()
         self.last_step = self.num_timesteps
-        if self.anew_steps is None and time.monotonic() - self.saved > self.checkpoint_seconds:
+        if self.restart_steps is None and time.monotonic() - self.saved > self.checkpoint_seconds:
             self.save()
         return self.time_limit is None or time.monotonic() - self.began < self.time_limit
 

@@ -251,7 +251,7 @@ def test_options_of_an_agent_that_cannot_be_used_end_no_comparison(bank: SceneBa
     lost, still = compare([wanting, StillAgent()], episodes=1, bank=bank, step_limit=2)
     assert f"its env_options ({next(iter(options))}) cannot be used: " in lost.error
     assert len(still.records) == 1
-    with pytest.raises(InvalidValueError, match="^step_limit"):  # of the caller
+    with pytest.raises(InvalidValueError, match=r"^step_limit"):  # of the caller
         compare([wanting, StillAgent()], episodes=1, bank=bank, step_limit=-2)
 
 

@@ -29,7 +29,7 @@ from greenhouse_gym.scene import SceneBank
 def settings(bank: SceneBank) -> PpoSettings:
     return PpoSettings(
         bank=str(bank.path), observation="state", reward="dense", total_steps=64, num_envs=2, rollout_steps=8,
-        batch_size=16, epochs=1, hidden=(8,), anew_steps=8, threads=1,
+        batch_size=16, epochs=1, hidden=(8,), restart_steps=8, threads=1,
     )  # fmt: skip
 
 
@@ -91,7 +91,9 @@ def test_the_lock_of_a_killed_process_is_no_hindrance(tmp_path: Path) -> None:
 
 def test_a_training_that_is_killed_and_resumed_ends_in_the_same_policy(settings: PpoSettings, tmp_path: Path) -> None:
     """Episodes end, the critic is trained alone, and the third kill is after the last step."""
-    settings = replace(settings, total_steps=2048, rollout_steps=64, batch_size=64, anew_steps=256, critic_rollouts=6)
+    settings = replace(
+        settings, total_steps=2048, rollout_steps=64, batch_size=64, restart_steps=256, critic_rollouts=6
+    )
 
     def run(out: Path, resume: bool = False, killed_at: int | None = None) -> None:
         def kill(line: Mapping[str, float]) -> None:
