@@ -91,9 +91,7 @@ def test_the_lock_of_a_killed_process_is_no_hindrance(tmp_path: Path) -> None:
 
 def test_a_training_that_is_killed_and_resumed_ends_in_the_same_policy(settings: PpoSettings, tmp_path: Path) -> None:
     """Episodes end, the critic is trained alone, and the third kill is after the last step."""
-    settings = replace(
-        settings, total_steps=2048, rollout_steps=64, batch_size=64, restart_steps=256, critic_rollouts=6
-    )
+    longer = replace(settings, total_steps=2048, rollout_steps=64, batch_size=64, restart_steps=256, critic_rollouts=6)
 
     def run(out: Path, resume: bool = False, killed_at: int | None = None) -> None:
         def kill(line: Mapping[str, float]) -> None:
@@ -101,7 +99,7 @@ def test_a_training_that_is_killed_and_resumed_ends_in_the_same_policy(settings:
                 raise SystemExit  # nothing is saved
 
         with pytest.raises(SystemExit) if killed_at else nullcontext():
-            train_ppo(settings, out, resume=resume, checkpoint_seconds=0, on_progress=kill)
+            train_ppo(longer, out, resume=resume, checkpoint_seconds=0, on_progress=kill)
 
     run(tmp_path / "whole")
     for moment, resume in ((640, False), (1536, True), (2048, True), (None, True)):
