@@ -20,8 +20,9 @@ from greenhouse_gym.envs.tasks.harvest import SIZES
 from greenhouse_gym.evaluation import evaluate
 from greenhouse_gym.evaluation.harvest import METRICS, harvest_metrics
 from greenhouse_gym.evaluation.journal import RecordJournal
+from greenhouse_gym.evaluation.leaderboard import TRACKS
 
-STEP_LIMITS = {"pick": 400, "truss": 2400, "stand": 3600}
+STEP_LIMITS = {"pick": 400, "truss": 2400, "stand": TRACKS["harvest"]["step_limit"]}
 """Shorter than the task's: an agent that has given up only waits."""
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
@@ -20,11 +19,11 @@ from greenhouse_gym.agents.picking import (
     with_fruit,
     withdraw,
 )
-from greenhouse_gym.agents.planner_agent import safe_commands
+from greenhouse_gym.agents.rail import drive, parked_at, stops_of
 from greenhouse_gym.agents.rehearsal import Action, Rehearsal
+from greenhouse_gym.envs.tasks.harvest import ROW_REACH
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.planning import plan
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import Scene
 from greenhouse_gym.scene.plants.live import CRATED, HANGING
@@ -36,7 +35,6 @@ BUDGET = 1500
 HARM = (0, 1)
 """Numbers of damaged organs and fruit knocked off that a pick may cost; the first one with a pick counts."""
 
-_CHECKS = 60_000  # collision checks of a plan
 _GOALS = 30  # configurations at a fruit
 _AROUND = 0.04  # metres: distance from the crate that paths to fruit keep where they can
 _SCENES = ((True, _AROUND), (True, 0.0), (False, 0.0))  # whether leaves are obstacles, and that distance
@@ -83,14 +81,18 @@ class OracleHarvester(NamedAgent):
     def _run(self, problem: Problem) -> Iterator[Action]:
         failures: dict[int, int] = {}
         picked = 0
-        while True:
-            pick = _Pick(problem, self.planner, failures, picked)
-            actions = pick.find()
-            if actions is None:
-                break
-            yield from actions
-            picked += 1
-        self.status = pick.failure
+        for stop in stops_of(problem.robot):
+            if problem.robot.on_rail:
+                yield from drive(problem, self.planner, stop)
+            arm = parked_at(problem.robot, stop)
+            while True:
+                pick = _Pick(problem, arm, self.planner, failures, picked)
+                actions = pick.find()
+                if actions is None:
+                    break
+                yield from actions
+                picked += 1
+            self.status = pick.failure
         while True:
             yield np.append(np.zeros(len(problem.robot.joints)), -1.0).astype(np.float32)
 
@@ -100,14 +102,15 @@ class _Pick:
 
     Args:
         problem: The episode.
+        arm: The arm, parked if it stands on a rail.
         planner: Name of the planner.
         failures: How often no harmless pick of a fruit was found so far, by fruit; updated.
         picked: Number of fruit in the crate.
     """
 
-    def __init__(self, problem: Problem, planner: str, failures: dict[int, int], picked: int):
+    def __init__(self, problem: Problem, arm: Robot, planner: str, failures: dict[int, int], picked: int):
         self._problem, self._planner, self._failures, self._picked = problem, planner, failures, picked
-        self._robot = problem.robot
+        self._robot = arm
         self._start = Rehearsal(problem)
         self._harm, self._budget = 0, 0
         self._scenes: dict[tuple[bool, float], LiveScene] = {}
@@ -117,6 +120,8 @@ class _Pick:
         """Return the actions of the pick with the least harm; None without one."""
         plants, (tip, _) = self._start.plants, self._start.tip
         left = np.flatnonzero(plants.wanted & (plants.state == HANGING)).tolist()
+        if self._robot.on_rail:
+            left = [fruit for fruit in left if np.linalg.norm(plants.center(fruit) - self._start.shoulder) < ROW_REACH]
         far = {fruit: float(np.linalg.norm(plants.center(fruit) - tip)) for fruit in left}
         for self._harm in HARM:
             for fruit in sorted(left, key=lambda fruit: (self._failures.get(fruit, 0), far[fruit])):
@@ -179,17 +184,9 @@ class _Pick:
 
     def _follow(self, trial: Rehearsal, scene: Scene, target: int, arm: Robot, goals: int | Array, seed: int) -> bool:
         """Plan and follow a path; return whether there is one."""
-        start = np.clip(trial.command, arm.lower, arm.upper)
-        result = plan(
-            scene, target, arm, self._planner, time_limit=None, max_checks=_CHECKS, goals=goals,
-            seed=self._problem.seed + seed, start=start,
-        )  # fmt: skip
-        if result.path is None:
-            self.failure = f"no plan: {result.status} {result.message}".strip()
-            return False
-        for command in safe_commands(scene, target, result.path, replace(self._problem, robot=arm)):
-            trial.step(command - trial.command, trial.plants.held >= 0)
-        return True
+        failure = trial.follow(scene, target, self._planner, arm, goals, seed)
+        self.failure = failure or self.failure
+        return not failure
 
     def _harmless(self, trial: Rehearsal) -> bool:
         """Return whether a trial has lost nothing and done no more harm than allowed."""

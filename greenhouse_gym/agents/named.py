@@ -18,6 +18,7 @@ from greenhouse_gym.agents.policy import description_path
 from greenhouse_gym.agents.policy_agent import PolicyAgent, shipped_policies
 from greenhouse_gym.agents.scan_harvester import ScanHarvester
 from greenhouse_gym.agents.shield import ShieldedAgent
+from greenhouse_gym.agents.truss_cutter import TrussCutter
 from greenhouse_gym.agents.watchful import WatchfulAgent
 from greenhouse_gym.common.own_code import load_own, make
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, MissingDependencyError, UnknownNameError
@@ -29,6 +30,7 @@ _NAMED: tuple[type[Agent], ...] = (
 )  # fmt: skip
 SIMPLE: dict[str, Callable[[], Agent]] = {
     **{agent.name: agent for agent in _NAMED}, "harvest-oracle": OracleHarvester, "harvest-scan": ScanHarvester,
+    "truss-cutter": TrussCutter,
 }  # fmt: skip
 """Agents by name that are made without arguments."""
 

@@ -172,10 +172,15 @@ def spot(picked: int) -> Array:
 
 def pointing_down(chain: Chain, robot: Robot, command: Array, point: Array, seed: int) -> Array:
     """Return configurations (k, j) with the tip at a point (3,) and the tool pointing down, nearest first."""
+    return pointing(-_UP, chain, robot, command, point, seed)
+
+
+def pointing(direction: Array, chain: Chain, robot: Robot, command: Array, point: Array, seed: int) -> Array:
+    """Return configurations (k, j) with the tip at a point (3,) and the tool in a direction (3,), nearest first."""
     rng = np.random.default_rng(seed)
     guesses = rng.uniform(robot.lower, robot.upper, (_GUESSES, len(command)))
-    down = Approach(-_UP, _TILT)
-    found, _ = inverse_kinematics(chain, np.vstack([command, guesses]), point, 0.0, robot, down)
+    cone = Approach(direction, _TILT)
+    found, _ = inverse_kinematics(chain, np.vstack([command, guesses]), point, 0.0, robot, cone)
     near = np.argsort(np.abs(found - command).max(axis=1), kind="stable")
     robot.keep_tool_roll(found, command)
     return np.clip(found[near[:_ENDS]], robot.lower, robot.upper)
@@ -183,17 +188,20 @@ def pointing_down(chain: Chain, robot: Robot, command: Array, point: Array, seed
 
 def with_fruit(robot: Robot, radius: float) -> Robot:
     """Return an arm with a fruit at its cup, for planning."""
-    return _with_fruit(robot, _STEP * float(np.ceil(_SHRUNK * radius / _STEP)))
+    radius = _STEP * float(np.ceil(_SHRUNK * radius / _STEP))
+    return with_load(robot, ((0.0, 0.0, radius, radius),))
 
 
 @lru_cache(maxsize=16)
-def _with_fruit(robot: Robot, radius: float) -> Robot:
+def with_load(robot: Robot, spheres: tuple[tuple[float, float, float, float], ...]) -> Robot:
+    """Return an arm that holds spheres, for planning: middles in the frame of the tip and radii, metres."""
     spec = robot.spec()
     tip = spec.site(TIP_SITE)
-    middle = np.empty(3)
-    mujoco.mju_rotVecQuat(middle, np.array([0.0, 0.0, radius]), np.array(tip.quat))
-    tip.parent.add_geom(
-        name="held_fruit", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0, 0], pos=tip.pos + middle,
-        mass=0, contype=1, conaffinity=3,
-    )  # fmt: skip
+    for k, (*local, radius) in enumerate(spheres):
+        middle = np.empty(3)
+        mujoco.mju_rotVecQuat(middle, np.array(local), np.array(tip.quat))
+        tip.parent.add_geom(
+            name=f"held_fruit_{k}", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0, 0], pos=tip.pos + middle,
+            mass=0, contype=1, conaffinity=3,
+        )  # fmt: skip
     return replace(robot, specification=spec)

@@ -4,23 +4,29 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.agents.agent import Problem
 from greenhouse_gym.agents.picking import Twist, joint_change
+from greenhouse_gym.agents.planner_agent import safe_commands
 from greenhouse_gym.envs.actions import CommandLimits
 from greenhouse_gym.envs.state import control_timing
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.planning import plan
+from greenhouse_gym.robots import Robot
 from greenhouse_gym.robots.kinematics import Chain, tool_chain
+from greenhouse_gym.scene import Scene
 from greenhouse_gym.scene.plants.live import HANGING, LOOSE, LivePlants
 from greenhouse_gym.scene.plants.live_scene import LiveScene, live_scene
 
 Action = npt.NDArray[np.float32]
 
 _ONE = np.array([0])
+_CHECKS = 60_000  # collision checks of a plan
 
 
 class Rehearsal:
@@ -113,6 +119,17 @@ class Rehearsal:
         return points[0, 0], frames[0][:, 2]
 
     @property
+    def shoulder(self) -> Array:
+        """Position (3,) of the arm's shoulder in the scene, metres, where the cart stands."""
+        base = self._physics.simulation(0).data.xpos[1]
+        return np.asarray(base + [0.0, 0.0, self._problem.robot.shoulder_height])
+
+    @property
+    def frame(self) -> Array:
+        """Axes (3, 3) of the tool in the scene, as columns."""
+        return np.asarray(self._physics.sites(_ONE)[1][0])
+
+    @property
     def force(self) -> Array:
         """Force (3,) of the held fruit on the cup beyond its weight in the last action, N, in the scene."""
         plants = self.plants
@@ -139,7 +156,30 @@ class Rehearsal:
             sliding = self._problem.robot.sliding[:, None]
             linear = np.where(sliding, axes, np.cross(axes, self.tip[0] - anchors))
             jacobian = np.concatenate([linear, np.where(sliding, 0.0, axes)], axis=1).T
+            jacobian[:, : int(self._problem.robot.on_rail)] = 0.0  # the cart stands
             self.step(joint_change(jacobian, twist, self.interval, self._problem.joint_steps), True)
+
+    def follow(self, scene: Scene, target: int, planner: str, arm: Robot, goals: int | Array, seed: int = 0) -> str:
+        """Plan and follow a path, without letting go; return the reason if none exists, else an empty text.
+
+        Args:
+            scene: Scene to plan in.
+            target: Target in it, or any tomato that is far away if the goals are configurations.
+            planner: Name of the planner.
+            arm: The arm, with what it carries.
+            goals: Number of configurations at the target, or (k, joints) goal configurations.
+            seed: Number of the plan.
+        """
+        start = np.clip(self.command, arm.lower, arm.upper)
+        result = plan(
+            scene, target, arm, planner, time_limit=None, max_checks=_CHECKS, goals=goals,
+            seed=self._problem.seed + seed, start=start,
+        )  # fmt: skip
+        if result.path is None:
+            return f"no plan: {result.status} {result.message}".strip()
+        for command in safe_commands(scene, target, result.path, replace(self._problem, robot=arm)):
+            self.step(command - self.command, self.plants.holding)
+        return ""
 
     def wait(self, fruit: int, actions: int) -> None:
         """Hold still until a fruit has come to rest, for a number of actions at most."""

@@ -69,7 +69,8 @@ def compare(
     target: OneTarget = None,
     difficulty: Difficulty = "",
     track: Annotated[
-        str, typer.Option(help="Worlds of the contacts, separated by commas: reconstruction, truth, moved, brush.")
+        str,
+        typer.Option(help="Worlds, separated by commas: reconstruction, truth, moved, brush, or harvest for its task."),
     ] = "reconstruction",
     num_envs: NumEnvs = 1,
     timeout: Annotated[float, typer.Option(help="Timeout of one answer of an agent, seconds.")] = 120.0,
@@ -174,12 +175,16 @@ def _require_report(path: Path) -> None:
 
 def print_comparison(evaluations: Sequence[Evaluation]) -> None:
     """Print the success and the motions of agents, and how they differ."""
+    from greenhouse_gym.evaluation.harvest import harvest_rows, is_harvest
     from greenhouse_gym.evaluation.records import comparison_notes, comparison_rows, differences
 
-    rows = comparison_rows(evaluations)
-    rows.only(*_SUCCESS).show()
-    say("")
-    rows.only(*_MOTION).show()
+    if is_harvest(evaluations):
+        harvest_rows(evaluations).show()
+    else:
+        rows = comparison_rows(evaluations)
+        rows.only(*_SUCCESS).show()
+        say("")
+        rows.only(*_MOTION).show()
     for note in (*comparison_notes(evaluations), differences(evaluations)):
         say(f"\n{note}" if note else "")
 
@@ -187,7 +192,13 @@ def print_comparison(evaluations: Sequence[Evaluation]) -> None:
 def submit(
     agent: AgentArgument,
     out: EntryFolder = None,
-    track: Annotated[str, typer.Option(help="Tracks, separated by commas.")] = "reconstruction,truth,moved,brush",
+    track: Annotated[
+        str,
+        typer.Option(
+            help="Tracks, separated by commas: reconstruction, truth, moved, brush; harvest. By default all those of "
+            "the agent's task."
+        ),
+    ] = "",
     episodes: Annotated[
         int, typer.Option(min=1, help="A number other than the protocol's makes a trial, which is not ranked.")
     ] = 1000,
@@ -215,7 +226,7 @@ def submit(
     folder = _entry_folder(out)
     player, rules = make_agent(agent), replace(V1, episodes=episodes)
     with executor_of(backend, workers, address) as executor:
-        path = run(player, agent, folder, comma_separated(track), rules, num_envs, note, executor)
+        path = run(player, agent, folder, comma_separated(track) or None, rules, num_envs, note, executor)
     _print_leaderboard([read_entry(path)], rules)
     say(f"{'entry' if rules == V1 else 'trial'} in {path}")
 
@@ -234,14 +245,13 @@ def _entry_folder(out: Path | None) -> Path:
 
 
 def _print_leaderboard(entries: Sequence[Entry], rules: Protocol) -> None:
-    from greenhouse_gym.evaluation.leaderboard import TRACKS, leaderboard_notes, leaderboard_rows
+    from greenhouse_gym.evaluation.entry import HARVEST
+    from greenhouse_gym.evaluation.leaderboard import leaderboard_notes, leaderboard_tables
 
-    table = leaderboard_rows(entries, rules)
-    for track in TRACKS:
-        if rows := [row for row in table.rows if row[0] == track]:
-            say(f"track {track}\n")
-            table._replace(rows=rows).only(*_RANKING).show()
-            say("")
+    for track, table in leaderboard_tables(entries, rules).items():
+        say(f"track {track}\n")
+        (table if track == HARVEST else table.only(*_RANKING)).show()
+        say("")
     for note in leaderboard_notes(entries, rules):
         say(note)
 

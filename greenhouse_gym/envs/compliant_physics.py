@@ -18,6 +18,7 @@ from greenhouse_gym.envs.world import World
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.scene.geom_order import ShortGeomLists, compiled_geom_id, put_arm_first, put_world_first
+from greenhouse_gym.scene.plants.cutting import CutterPlants
 from greenhouse_gym.scene.plants.layout import CRATE_BOXES, Layout, SlotIds
 from greenhouse_gym.scene.plants.live import Felt, LivePlants
 
@@ -110,7 +111,8 @@ class CompliantPhysics:
             displace_base(model, world.frame[3:], disturbance.shift, disturbance.yaw)
         old = self._sims[i]
         data = mujoco.MjData(model) if old is None else old.data
-        plants = LivePlants(model, data, self._scratch, world.planted, self._layout)
+        kind = CutterPlants if self._layout.cutter else LivePlants
+        plants = kind(model, data, self._scratch, world.planted, self._layout)
         self._sims[i] = CompliantSimulation(model, data, plants, groups, ShortGeomLists([model]), world)
         self._felt[i] = Felt(np.zeros(3))
 
@@ -138,7 +140,7 @@ class CompliantPhysics:
         return Contacts(counts, leaf_steps, collided, first)
 
     def advance(self, command: Array, vacuum: npt.NDArray[np.bool_]) -> Contacts:
-        """Run one action: commands move at constant speed to new ones (n, j), and the vacuum is on or off (n,)."""
+        """Run one action: commands move at constant speed to new ones (n, j), and the tool holds or not (n,)."""
         count = len(self._sims)
         counts = np.zeros((count, len(CONTACT_GROUPS)), dtype=np.int64)
         collided = np.zeros(count, dtype=np.bool_)
@@ -147,7 +149,7 @@ class CompliantPhysics:
         for i in range(count):
             sim = self.simulation(i)
             sim.data.ctrl[:] = (command[i] - self.command[i]) / self._timing.interval
-            sim.plants.suck(bool(vacuum[i]))
+            sim.plants.grip(bool(vacuum[i]))
             for _ in range(self._timing.substeps):
                 with sim.listed:
                     mujoco.mj_step(sim.model, sim.data)
@@ -185,11 +187,10 @@ class CompliantPhysics:
         for i in np.arange(len(self._sims))[ids].tolist():
             sim, felt = self.simulation(i), self._felt[i]
             plants = sim.plants
-            work = plants.in_work(sim.data.site_xpos[self._tip])
-            center = plants.center(work) if work >= 0 else sim.data.site_xpos[self._tip]
+            work = plants.work(sim.data.site_xpos[self._tip])
             rows.append(
                 (
-                    work, center, plants.radius(work) if work >= 0 else 0.0, plants.held >= 0,
+                    *work, plants.holding,
                     plants.vacuum(felt.force), felt.force, plants.left, plants.wanted.sum(), *felt[1:],
                     sim.data.xpos[plants.planted.ids.crate] + [0.0, 0.0, 2 * self._layout.crate.half_extents[2]],
                 )
@@ -268,9 +269,9 @@ def geom_groups(world: World, ids: SlotIds) -> npt.NDArray[np.int8]:
         first = int(model.body_geomadr[body])
         groups[first : first + int(model.body_geomnum[body])] = group
 
-    for body in ids.truss:
+    for body in (*ids.truss, *ids.cut):
         mark(int(body), _STEM)
-    for body in (*ids.fruit.ravel(), *ids.loose):
+    for body in (*ids.fruit.ravel(), *ids.cut_fruit.ravel(), *ids.loose):
         mark(int(body), _FRUIT)
     for body in ids.leaf:
         mark(int(body), _LEAF)

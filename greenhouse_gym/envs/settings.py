@@ -81,7 +81,7 @@ class EnvSettings:
         target: Index of its only target tomato; if None, each episode draws one of the scene's.
         infos: "all", or "numbers" for libraries that read no texts and no nested infos, such as TorchRL: texts are left
             out, and keys are those of one level, such as "reward_terms.progress".
-        size: Size of the task "harvest": "pick", "truss" or "stand"; its default if None.
+        size: Size of the task "harvest": "pick", "truss", "stand" or "row"; its default if None.
     """
 
     bank: str | Path | SceneBank = "default"

@@ -25,7 +25,7 @@ class Protocol:
         version: Name of the protocol.
         bank: Bank of scenes.
         split: Split of the bank.
-        episodes: Number of episodes on each track.
+        episodes: Number of episodes on each track; at most `STANDS` on the track "harvest".
         seed: Seed of the first episode; episode i has the seed ``seed + i``.
         difficulty: Difficulties of the targets, at their natural frequency.
         timeout: Time limit of each call of the agent, seconds.
@@ -46,6 +46,13 @@ class Protocol:
         rules: dict[str, Any] = json.loads(json.dumps(asdict(self)))
         return rules
 
+    def episodes_on(self, track: str) -> int:
+        """Return the number of episodes on a track: a stand to harvest takes as long as a hundred reaches."""
+        return min(self.episodes, STANDS) if track == HARVEST else self.episodes
+
+
+HARVEST, STANDS = "harvest", 100
+"""Track of harvests, and its largest number of stands."""
 
 V1 = Protocol()
 """The current protocol."""
@@ -86,11 +93,9 @@ class Entry(BaseModel):
     def _is_whole(self) -> Entry:
         rules = self.rules
         for track in self.tracks:
-            records = self.evaluation(track).records
-            if len(records) != rules.episodes:
-                raise InvalidValueError(
-                    f"track {track!r} has {len(records)} records, the protocol {rules.episodes} episodes"
-                )
+            records, episodes = self.evaluation(track).records, rules.episodes_on(track)
+            if len(records) != episodes:
+                raise InvalidValueError(f"track {track!r} has {len(records)} records, the protocol {episodes} episodes")
             for seed, record in enumerate(records, rules.seed):
                 if record.seed != seed:
                     raise InvalidValueError(f"track {track!r}: expected the episode of seed {seed}, got {record.seed}")

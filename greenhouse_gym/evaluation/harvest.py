@@ -6,9 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from greenhouse_gym.common.tables import Table
 from greenhouse_gym.envs.actions import INTERVAL
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.evaluation.records import Record
+from greenhouse_gym.evaluation.records import Evaluation, Record
 
 RESAMPLES = 2000
 """Number of bootstrap samples."""
@@ -53,6 +54,44 @@ def harvest_metrics(records: Sequence[Record], interval: float = INTERVAL) -> di
         low, high = np.percentile(known, [2.5, 97.5]) if len(known) else (np.nan, np.nan)
         result[name] = (float(value), float(low), float(high))
     return result
+
+
+COLUMNS = {
+    "crated": ("harvested", "{:.1%}"),
+    "s a fruit": ("seconds_per_fruit", "{:.1f}"),
+    "dropped": ("dropped", "{:.1%}"),
+    "missed": ("missed", "{:.1%}"),
+    "knocked off / 100": ("knocked_per_100", "{:.1f}"),
+    "damaged / 100": ("damage_per_100", "{:.1f}"),
+}
+"""Columns of the table of harvests: a metric and its format."""
+
+
+def is_harvest(evaluations: Sequence[Evaluation]) -> bool:
+    """Return whether agents harvested."""
+    return any("crated" in record.measures for e in evaluations for record in e.records)
+
+
+def harvest_rows(evaluations: Sequence[Evaluation]) -> Table:
+    """Return a table of harvests with 95 % intervals, a row per agent with records, that with most fruit first."""
+    found = [(e, harvest_metrics(e.records)) for e in evaluations if e.records]
+    found.sort(key=lambda pair: -pair[1]["harvested"][0])
+    rows = [
+        [
+            e.agent, str(len(e.records)), f"{sum(record.measures['wanted'] for record in e.records):.0f}",
+            *(_shown(metrics[name], form) for name, form in COLUMNS.values()),
+        ]
+        for e, metrics in found
+    ]  # fmt: skip
+    return Table(["agent", "stands", "fruit", *COLUMNS], rows)
+
+
+def _shown(values: tuple[float, float, float], form: str) -> str:
+    """Return a value with its interval as text; empty where it is unknown."""
+    if not np.isfinite(values).all():
+        return ""
+    value, low, high = (form.format(value) for value in values)
+    return f"{value} [{low.removesuffix('%')}, {high.removesuffix('%')}]"
 
 
 def _ratio(above: np.ndarray, below: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]

@@ -18,7 +18,8 @@ from greenhouse_gym.crops.crop import PlantMotion
 from greenhouse_gym.envs import Randomization
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.evaluation.deadline import AskedAgent
-from greenhouse_gym.evaluation.entry import V1, Entry, Protocol, columns_of, follows, is_current, read_entry
+from greenhouse_gym.evaluation.entry import HARVEST, V1, Entry, Protocol, columns_of, follows, is_current, read_entry
+from greenhouse_gym.evaluation.harvest import harvest_rows
 from greenhouse_gym.evaluation.journal import RecordJournal, checksum_of, package_versions
 from greenhouse_gym.evaluation.records import Evaluation, Record
 from greenhouse_gym.evaluation.rollouts import AGENTS_CHOICE, changed_rules, evaluate, shown_rules
@@ -34,13 +35,24 @@ TRACKS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
         "truth": {"physics": "truth"},
         "moved": {"physics": "truth", "randomization": Randomization(plants=PlantMotion())},
         "brush": {"physics": "truth", "plants": "brush"},
+        HARVEST: {
+            "physics": "truth", "plants": "compliant", "task": "harvest", "size": "stand", "start": "ready",
+            "step_limit": 3600,
+        },
     }
-)
+)  # fmt: skip
 """Simulated world of each track: the reconstruction itself, the true row, the true row after the plants moved, or the
-true row with leaves that give way.
+true row with leaves that give way. Stands of "harvest" have compliant plants and end after 180 s, because an agent that
+has given up only waits.
 
 Agents always observe the reconstruction.
 """
+
+
+def tracks_of(agent: Agent) -> tuple[str, ...]:
+    """Return the tracks of an agent's task."""
+    task = AskedAgent.of(agent).env_options.get("task", "reach")
+    return tuple(track for track, world in TRACKS.items() if world.get("task", "reach") == task)
 
 
 def difficulty_of(protocol: Protocol, track: str) -> tuple[str, ...]:
@@ -52,7 +64,7 @@ def submit(
     agent: Agent,
     name: str,
     out: str | Path,
-    tracks: Sequence[str] = tuple(TRACKS),
+    tracks: Sequence[str] | None = None,
     protocol: Protocol = V1,
     num_envs: int = 1,
     note: str = "",
@@ -68,7 +80,7 @@ def submit(
         name: Name of the agent, as `make_agent` takes it. It also names the file: ``NAME.json``, or
             ``NAME.trial.json`` if the protocol is not the current one.
         out: Folder of the entries.
-        tracks: Names of tracks from `TRACKS`.
+        tracks: Names of tracks from `TRACKS`; if None, those of the agent's task.
         protocol: The protocol.
         num_envs: Number of parallel episodes; only times depend on it.
         note: Free text; empty keeps the note of an existing entry.
@@ -82,6 +94,7 @@ def submit(
         FileFormatError: The existing entry is damaged.
         FileWriteError: Another process runs such a track, or a file cannot be written.
     """
+    tracks = tracks_of(agent) if tracks is None else tracks
     if not tracks or not set(tracks) <= set(TRACKS):
         raise InvalidValueError(f"tracks must be some of {', '.join(TRACKS)}, got {', '.join(tracks) or 'none'}")
     stem = Path(name).name.replace(":", "-").removesuffix(".json")
@@ -107,7 +120,7 @@ def submit(
         records = path.with_suffix(f".{track}.jsonl")
         with exclusive(path.parent, only=records.name):
             journal = RecordJournal(records, {**about, "track": track})
-            evaluation = _run(agent, protocol, track, protocol.episodes, num_envs, executor, journal)
+            evaluation = _run(agent, protocol, track, protocol.episodes_on(track), num_envs, executor, journal)
             machine = {f"{track}: {name}": value for name, value in _machine(num_envs, executor).items()}
             with exclusive(path.parent, only=path.name, wait=True):
                 entry = _merged(path, fresh)  # other processes may have added tracks
@@ -127,29 +140,38 @@ def replay(entry: Entry, agent: Agent, track: str, episodes: int = 10) -> list[t
     return list(zip(before, now, strict=True))
 
 
-def leaderboard_rows(entries: Sequence[Entry], protocol: Protocol = V1) -> Table:
-    """Return a table of the entries that follow a protocol on the present bank, track by track, best first."""
-    heads = ["track", "agent", "episodes", "success [95 %]", "collision", "first ms", "action ms", "at once"]
-    rows = []
+def leaderboard_tables(entries: Sequence[Entry], protocol: Protocol = V1) -> dict[str, Table]:
+    """Return a table by track of the entries that follow a protocol on the present bank, best first."""
     ranked = [entry for entry in entries if follows(entry, protocol) and is_current(entry)]
-    for track in TRACKS:
-        here = [(entry, entry.evaluation(track)) for entry in ranked if track in entry.tracks]
-        for entry, e in sorted(here, key=lambda pair: -pair[1].success_rate):
-            low, high = e.success_interval
-            rows.append(
-                [
-                    track,
-                    entry.agent,
-                    str(len(e.records)),
-                    f"{e.success_rate:.1%} [{100 * low:.1f}, {100 * high:.1f}]",
-                    f"{e.collision_rate:.1%}",
-                    number(1e3 * (e.median("planning_time") + e.median("action_time")), ".1f"),
-                    number(1e3 * e.median("action_time"), ".2f"),
-                    entry.at_once(track),
-                    number(e.median("steps", solved_only=True), ".0f"),
-                ]
-            )
-    return Table([*heads, "steps"], rows, words=(0, 1))
+    here = {track: [entry for entry in ranked if track in entry.tracks] for track in TRACKS}
+    return {
+        track: harvest_rows([entry.evaluation(track) for entry in found])
+        if track == HARVEST
+        else _reach_rows(found, track)
+        for track, found in here.items()
+        if found
+    }
+
+
+def _reach_rows(entries: Sequence[Entry], track: str) -> Table:
+    heads = ["agent", "episodes", "success [95 %]", "collision", "first ms", "action ms", "at once", "steps"]
+    rows = []
+    here = [(entry, entry.evaluation(track)) for entry in entries]
+    for entry, e in sorted(here, key=lambda pair: -pair[1].success_rate):
+        low, high = e.success_interval
+        rows.append(
+            [
+                entry.agent,
+                str(len(e.records)),
+                f"{e.success_rate:.1%} [{100 * low:.1f}, {100 * high:.1f}]",
+                f"{e.collision_rate:.1%}",
+                number(1e3 * (e.median("planning_time") + e.median("action_time")), ".1f"),
+                number(1e3 * e.median("action_time"), ".2f"),
+                entry.at_once(track),
+                number(e.median("steps", solved_only=True), ".0f"),
+            ]
+        )
+    return Table(heads, rows)
 
 
 def leaderboard_notes(entries: Sequence[Entry], protocol: Protocol = V1) -> list[str]:
@@ -162,9 +184,10 @@ def leaderboard_notes(entries: Sequence[Entry], protocol: Protocol = V1) -> list
 
 
 def leaderboard_table(entries: Sequence[Entry], protocol: Protocol = V1) -> str:
-    """Return the table of `leaderboard_rows` as Markdown, with `leaderboard_notes` below it."""
-    notes = "".join(f"\n{note}\n" for note in leaderboard_notes(entries, protocol))
-    return leaderboard_rows(entries, protocol).as_markdown() + notes
+    """Return the tables of `leaderboard_tables` as Markdown, with `leaderboard_notes` below them."""
+    tables = leaderboard_tables(entries, protocol)
+    shown = [f"track {track}\n\n{table.as_markdown()}" for track, table in tables.items()]
+    return "\n".join([*shown, *(f"{note}\n" for note in leaderboard_notes(entries, protocol))])
 
 
 def _merged(path: Path, fresh: Entry) -> Entry:

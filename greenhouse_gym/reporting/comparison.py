@@ -11,6 +11,8 @@ from greenhouse_gym.agents.named import make_agent
 from greenhouse_gym.common.progress import progress
 from greenhouse_gym.errors import GreenhouseError, InvalidValueError
 from greenhouse_gym.evaluation import retrace
+from greenhouse_gym.evaluation.entry import HARVEST
+from greenhouse_gym.evaluation.harvest import harvest_rows, is_harvest
 from greenhouse_gym.evaluation.leaderboard import TRACKS, V1, Entry, Protocol, difficulty_of, follows, is_current
 from greenhouse_gym.evaluation.records import Evaluation, Record, comparison_notes, comparison_rows, difficulties_of
 from greenhouse_gym.reporting import comparison_figures as figures
@@ -26,6 +28,7 @@ _WORLDS = {
     "truth": "Agents know the reconstruction; their contacts are with the scanned row.",
     "moved": "Agents know the reconstruction; their contacts are with the scanned row, after its plants moved.",
     "brush": "Agents know the reconstruction; their contacts are with the scanned row, whose leaves give way.",
+    HARVEST: "Agents harvest stands of the scanned row, whose plants give way.",
 }
 
 EPISODES = 4
@@ -80,6 +83,7 @@ def _track(name: str, evaluations: Sequence[Evaluation], colors: Mapping[str, st
     return {
         "name": name,
         "world": _WORLDS[name],
+        "harvest": harvest_rows(evaluations) if is_harvest(evaluations) else None,
         "summary": comparison_rows(evaluations),
         "warnings": comparison_notes(evaluations),
         "colors": used,
@@ -137,7 +141,8 @@ def comparison_report(
     track, evaluations = next(iter(tracks.items()))
     shown = [e for e in evaluations if e.records and e.agent in agents]
     colors = colors_of([e.agent for es in tracks.values() for e in es])
-    episodes = _episode_pages(shown, agents, split, opened, track, colors, **options) if shown else []
+    moving = TRACKS[track].get("plants") == "compliant"  # a scene page shows plants at rest
+    episodes = _episode_pages(shown, agents, split, opened, track, colors, **options) if shown and not moving else []
     rule = f"Track {track}. {RULE}" + (_PLANTS_AT_REST if track == "moved" else "")
     return comparison_page(title, tracks, colors, [f"{source}.", *notes], rule, episodes)
 

@@ -90,6 +90,11 @@ class Robot:
         """(n,) start from which targets are rated and witnesses lead: ``upright`` if the arm has it, else its own."""
         return self.starts.get("upright", self.start)
 
+    @property
+    def on_rail(self) -> bool:
+        """True if the base slides, with the cart that it stands on, see `greenhouse_gym.robots.mount_on_rail`."""
+        return slides(self.specification)
+
     @cached_property
     def rolls_tool(self) -> bool:
         """True if the last joint turns the tool about its own axis, which moves nothing if the tool is round."""
@@ -115,6 +120,13 @@ class Robot:
         """Pickle without MuJoCo's specification, which cannot be pickled; unpickling reads the file again."""
         values = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "specification"}
         return _restore, ({**values, "starts": dict(self.starts)},)
+
+
+def slides(spec: mujoco.MjSpec) -> bool:
+    """Return whether the base of an arm slides horizontally."""
+    joints = spec.worldbody.first_body().joints
+    slide = mujoco.mjtJoint.mjJNT_SLIDE
+    return len(joints) == 1 and joints[0].type == slide and abs(float(joints[0].axis[2])) < _ALIGNED
 
 
 def _restore(values: dict[str, Any]) -> Robot:

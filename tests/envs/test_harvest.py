@@ -53,7 +53,7 @@ def test_gymnasium_makes_every_size_with_its_own_step_limit():
         limits.append(made.spec.max_episode_steps)
         assert made.action_space.shape == (7,)
         made.close()
-    assert limits == [400, 4000, 6000]
+    assert limits == [400, 4000, 6000, 18000]
     options = {"task": TomatoHarvest("truss"), "plants": "compliant", "physics": "truth", "bank": "mini"}
     made = gymnasium.make("TomatoReach-v0", **options)
     assert made.spec.max_episode_steps == 4000, "a task as an object"

@@ -124,7 +124,7 @@ class Snoop:
 
 
 @pytest.mark.filterwarnings("ignore")  # of attributes that are going out of use
-@pytest.mark.parametrize("track", TRACKS)
+@pytest.mark.parametrize("track", ["reconstruction", "truth", "moved", "brush"])
 def test_an_agent_that_looks_at_everything_finds_no_answer(track: str) -> None:
     agent = Snoop()
     (record,) = evaluate(agent, "validation", 1, bank="mini", progress=False, **TRACKS[track]).records

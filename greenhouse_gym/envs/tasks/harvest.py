@@ -16,8 +16,10 @@ from greenhouse_gym.envs.rewards import Transition
 from greenhouse_gym.envs.state import Bools, State, lengths
 from greenhouse_gym.envs.task import TARGET_FEATURES, Outcome, Task
 from greenhouse_gym.errors import InvalidValueError, require_choice
-from greenhouse_gym.geometry import Array
+from greenhouse_gym.geometry import Array, rotation_about
+from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import Scene
+from greenhouse_gym.scene.mjcf import base_position
 from greenhouse_gym.scene.plants.layout import ATTACHED, Layout
 from greenhouse_gym.scene.plants.mechanics import PlantMechanics
 
@@ -36,12 +38,19 @@ MOVING = 0.01
 _DRAWS = 256  # draws of an episode until one fits into the slots
 
 SIZES: Mapping[str, Layout] = MappingProxyType(
-    {"pick": Layout(1, 8, 8), "truss": Layout(1, 20, 8), "stand": Layout(4, 6, 8)}
+    {"pick": Layout(1, 8, 8), "truss": Layout(1, 20, 8), "stand": Layout(4, 6, 8), "row": Layout(12, 6, 16)}
 )
-"""Sizes of the task with their slots: one fruit, all ripe fruit of a truss, those of up to four trusses."""
+"""Sizes of the task with their slots: one fruit, all ripe fruit of a truss, those of up to four trusses, or of up to
+twelve along a row."""
 
-STEP_LIMITS: Mapping[str, int] = MappingProxyType({"pick": 400, "truss": 4000, "stand": 6000})
-"""Steps after which an episode of each size is truncated: 20, 200 and 300 s."""
+TOOLS = ("suction", "cutter")
+"""Tools that hold a fruit, or cut a peduncle and hold the truss."""
+
+STEP_LIMITS: Mapping[str, int] = MappingProxyType({"pick": 400, "truss": 4000, "stand": 6000, "row": 18000})
+"""Steps after which an episode of each size is truncated: 20, 200, 300 and 900 s."""
+
+ROW_REACH = 0.8
+"""Distance from the shoulder of an arm, at its nearest place on the rail, within which fruit of a row are picked, m."""
 
 COUNTED = ("detached", "crated", "dropped", "knocked", "damaged")
 """Counts of an episode, see `greenhouse_gym.envs.state.PLANTS`."""
@@ -117,8 +126,12 @@ class TomatoHarvest(Task):
     Plants give way, fruit comes off when it is pulled and bent, and falls when the cup lets go. The task needs
     ``plants="compliant"`` and ``physics="truth"``.
 
-    **Action.** As the setting ``action`` moves the arm, and a last entry for the vacuum: on above 0. With vacuum, the
-    cup holds a fruit that it touches, up to a force of 18 N.
+    **Action.** As the setting ``action`` moves the arm, and a last entry for the tool: on above 0. With vacuum, the cup
+    holds a fruit that it touches, up to a force of 18 N. A cutter within 6 mm of a peduncle's first piece cuts it and
+    holds the whole truss, with its unripe fruit, up to 40 N, until it opens.
+
+    **Observation.** With a cutter, the fruit in work is the truss: the point to cut, or the middle of the one that is
+    held.
 
     **Success.** All fruit to be picked lie in the crate. An episode also ends, without success, when none of them is
     left to pick, when more than ``max_damage`` organs are damaged, when the arm touches itself or a fixture (floor,
@@ -127,12 +140,14 @@ class TomatoHarvest(Task):
     **Reward.** The terms of `HarvestReward`, in ``info["reward_terms"]``; ``sparse`` has ``crated`` alone.
 
     Attributes:
-        size: "pick" (one fruit), "truss" (all ripe fruit of its truss) or "stand" (the ripe fruit within reach of the
-            ripest trusses, as many as have a slot).
+        size: "pick" (one fruit), "truss" (all ripe fruit of its truss), "stand" (the ripe fruit within reach of the
+            ripest trusses, as many as have a slot) or "row" (the same along the rail of an arm of
+            `greenhouse_gym.robots.mount_on_rail`, whose first joint drives arm and crate).
         ripe: Ripeness from which a fruit is picked.
         max_damage: Number of damaged organs that an episode survives.
         layout: Slots for compliant plants, and the crate; None for those of the size.
         mechanics: Mechanics of the plants.
+        tool: "suction", or "cutter" for whole trusses.
     """
 
     ends_on = ("fixture", "self")
@@ -145,22 +160,23 @@ class TomatoHarvest(Task):
     )
     memory = MappingProxyType(dict.fromkeys(("wanted", "worked", *COUNTED), 0.0))
 
-    controls = ("vacuum",)
+    controls = ("tool",)
 
     size: str = "pick"
     ripe: float = RIPE
     max_damage: int = 3
     layout: Layout | None = None
     mechanics: PlantMechanics = field(default=PlantMechanics())
+    tool: str = "suction"
 
     def __post_init__(self) -> None:
         require_choice("size", self.size, SIZES)
         object.__setattr__(self, "step_limit", STEP_LIMITS[self.size])
-        if self.layout is None:
-            object.__setattr__(self, "layout", SIZES[self.size])
+        cutter = require_choice("tool", self.tool, TOOLS) == "cutter"
+        object.__setattr__(self, "layout", replace(self.layout or SIZES[self.size], cutter=cutter))
 
     def holds(self, controls: Array) -> Bools:
-        """Return a mask (n,) of the simulations whose vacuum is on."""
+        """Return a mask (n,) of the simulations whose tool is on."""
         return np.asarray(controls[:, 0] > 0)
 
     def sample(self, sampler: EpisodeSampler, rng: np.random.Generator, options: Mapping[str, Any] | None) -> Episode:
@@ -173,6 +189,8 @@ class TomatoHarvest(Task):
         problem = ""
         for _ in range(_DRAWS):
             episode = sampler.draw(rng, options)
+            if self.size == "row":
+                _check_rail(sampler.robot, episode.scene)
             fruit, problem = self._fruit(episode, sampler)
             if not problem:
                 shown = ripe_targets(episode.scene, self.ripe)
@@ -187,22 +205,23 @@ class TomatoHarvest(Task):
         scene = episode.scene
         ripe = ripe_targets(scene, self.ripe)
         anchor = ripe.get(episode.targets[0])
-        if anchor is None:
+        if anchor is None and self.size != "row":
             where = f"scene {scene.name!r}, tomato {episode.targets[0]}"
             return (
                 (),
                 f"{where} is not ripe (from {self.ripe}) in the truth, or not within {1000 * MATCHED:.0f} mm of it",
             )
-        if self.size == "pick":
+        if self.size == "pick" and anchor is not None:
             return (anchor,), ""
         assert self.layout is not None
         assert scene.truth is not None
         tomatoes = scene.truth.tomatoes
-        if self.size == "truss":
+        if self.size == "truss" and anchor is not None:
             chosen = [tomatoes[anchor].truss]
             fruit = [k for k, t in enumerate(tomatoes) if t.truss in chosen and (t.ripeness or 0) >= self.ripe]
         else:
-            reachable = set(sampler.targets(scene))
+            along = self.size == "row"
+            reachable = _along_rail(sampler.robot, scene) if along else set(sampler.targets(scene))
             within = [k for tomato, k in ripe.items() if tomato in reachable]
             trusses = Counter(tomatoes[k].truss for k in within)
             chosen = [truss for truss, count in trusses.most_common() if count <= self.layout.fruit]
@@ -229,6 +248,41 @@ class TomatoHarvest(Task):
         memory["wanted"] = plants["wanted"]
         memory["worked"] = state.memory["worked"] + (np.abs(state.velocities).max(axis=1) > MOVING)
         return Outcome(distance, success & ~failure, failure, memory=memory)
+
+
+def _in_base(scene: Scene, robot: Robot, points: Array) -> Array:
+    """Return points (n, 3) of a scene in the frame of an arm's base at the middle of its rail, metres."""
+    return (points - base_position(scene, robot)) @ rotation_about([0, 0, 1], scene.placement.yaw)
+
+
+def _along_rail(robot: Robot, scene: Scene) -> set[int]:
+    """Return the tomatoes within reach from somewhere on the rail."""
+    centers = _in_base(scene, robot, np.array([tomato.center for tomato in scene.tomatoes]))
+    centers[:, 1] -= np.clip(centers[:, 1], robot.lower[0], robot.upper[0])
+    centers[:, 2] -= robot.shoulder_height
+    return set(np.flatnonzero(lengths(centers) < ROW_REACH).tolist())
+
+
+def _check_rail(robot: Robot, scene: Scene) -> None:
+    """Check that an arm slides along a row, and no farther than the row.
+
+    Raises:
+        InvalidValueError: It does not, or it slides beyond.
+    """
+    if not robot.on_rail:
+        raise InvalidValueError(
+            f"size 'row' needs an arm on a rail, and robot {robot.name!r} has none: "
+            "greenhouse_gym.robots.mount_on_rail writes a copy of an arm on one"
+        )
+    arrays = (scene.truth or scene).arrays
+    plants = _in_base(scene, robot, np.concatenate([arrays.starts, arrays.ends]))[:, 1]
+    low, high = float(robot.lower[0]), float(robot.upper[0])
+    if low < plants.min() or high > plants.max():
+        raise InvalidValueError(
+            f"the rail of robot {robot.name!r} leads from {low:.2f} to {high:.2f} m, beyond the row of scene "
+            f"{scene.name!r} from {plants.min():.2f} to {plants.max():.2f} m: give mount_on_rail a shorter reach, or "
+            "choose another scene"
+        )
 
 
 def ripe_targets(scene: Scene, ripe: float) -> dict[int, int]:

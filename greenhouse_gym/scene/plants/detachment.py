@@ -72,7 +72,7 @@ def detach(
     data.qvel[dof + 3 : dof + 6] = data.geom_xmat[old].reshape(3, 3).T @ velocity[:3]
     data.xpos[loose], data.xquat[loose] = data.geom_xpos[old], quat
     data.geom_xpos[new], data.geom_xmat[new] = data.geom_xpos[old], data.geom_xmat[old]
-    _leave_stub(model, data, body)
+    leave_stub(model, data, body)
     build_tree(model, loose)
     rules = model.eq_data.copy()
     mujoco.mj_setConst(model, scratch)
@@ -95,15 +95,16 @@ def _mass_of(model: mujoco.MjModel, geom: int, density: float) -> tuple[float, A
     return mass, mass / 5 * (axes @ axes - axes**2)
 
 
-def _leave_stub(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> None:
-    """Leave the pedicel of a fruit that has come off, nearly without mass and where it is now."""
+def leave_stub(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> None:
+    """Leave a hanging body whose shapes have come off, nearly without mass and where it is now."""
     first, count = first_geom(model, body), int(model.body_geomnum[body])
-    model.geom_conaffinity[first : first + count] = 0
+    model.geom_contype[first : first + count] = model.geom_conaffinity[first : first + count] = 0
     model.geom_rgba[first, 3] = 0.0
     joint = int(model.body_jntadr[body])
+    numbers = 4 if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_BALL else int(model.body_jntnum[body])
     at, dof = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
-    model.qpos_spring[at : at + 4] = data.qpos[at : at + 4]
-    model.dof_damping[dof : dof + 3] = _STUB_DAMPING
+    model.qpos_spring[at : at + numbers] = data.qpos[at : at + numbers]
+    model.dof_damping[dof : dof + min(numbers, 3)] = _STUB_DAMPING
     model.body_mass[body], model.body_inertia[body] = _STUB_MASS, _STUB_INERTIA
 
 
@@ -143,20 +144,25 @@ def park(model: mujoco.MjModel, data: mujoco.MjData, loose: int) -> None:
 
 
 def weld(model: mujoco.MjModel, data: mujoco.MjData, ids: SlotIds, body: int) -> None:
-    """Hold a body by the cup in its present pose."""
+    """Hold a fruit by the cup in its present pose."""
+    geom = first_geom(model, body)
+    hold(model, data, ids, body, geom)
+    model.geom_conaffinity[geom] &= ~CUP
+    model.geom_priority[geom], model.geom_solref[geom] = 1, _HELD_SKIN
+
+
+def hold(model: mujoco.MjModel, data: mujoco.MjData, ids: SlotIds, body: int, geom: int) -> None:
+    """Hold a body by the tool in its present pose, at the middle of one of its geoms."""
     mat, pos = data.xmat[ids.cup].reshape(3, 3), data.xpos[ids.cup]
     back = np.empty(4)
     mujoco.mju_negQuat(back, data.xquat[ids.cup])
     rule = model.eq_data[ids.weld]
     model.eq_obj1id[ids.weld], model.eq_obj2id[ids.weld] = ids.cup, body
-    geom = first_geom(model, body)
-    rule[0:3] = model.geom_pos[geom]  # held at the middle of the fruit
+    rule[0:3] = model.geom_pos[geom]
     rule[3:6] = mat.T @ (data.geom_xpos[geom] - pos)
     mujoco.mju_mulQuat(rule[6:10], back, data.xquat[body])
     rule[10] = 1.0
     data.eq_active[ids.weld] = 1
-    model.geom_conaffinity[geom] &= ~CUP
-    model.geom_priority[geom], model.geom_solref[geom] = 1, _HELD_SKIN
 
 
 def let_go(model: mujoco.MjModel, data: mujoco.MjData, ids: SlotIds) -> None:

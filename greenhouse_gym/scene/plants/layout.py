@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.robots.robot import CUP_GEOM, TIP_SITE
+from greenhouse_gym.robots.robot import CUP_GEOM, TIP_SITE, slides
 from greenhouse_gym.scene.plants.mechanics import BALL_ARMATURE, HINGE_ARMATURE, HINGE_RANGE
 
 ARM, CUP, LOOSE = 1, 2, 4
@@ -32,6 +32,8 @@ SERVO_ERROR = 0.0375
 data sheet says 150 and 28. Without any limit an arm presses what does not move with kilonewtons."""
 
 _PARKED_HEIGHT = 40.0
+_CRATE_MASS = 2.0  # kg
+_EXTENT = 4.0  # metres: size of a scene, which parked bodies do not belong to; cameras see from a hundredth of it on
 
 
 @dataclass(frozen=True)
@@ -68,6 +70,7 @@ class Layout:
         leaves: Leaves that give way.
         loose: Fruit that can be on the move at the same time after coming off.
         crate: The crate.
+        cutter: The tool cuts trusses, which become free bodies; otherwise it sucks fruit.
     """
 
     trusses: int = 1
@@ -75,6 +78,7 @@ class Layout:
     leaves: int = 8
     loose: int = 4
     crate: Crate = Crate()
+    cutter: bool = False
 
     @property
     def settled(self) -> int:
@@ -88,20 +92,19 @@ class Layout:
                 force = SERVO_ERROR * float(servo.gainprm[0])
                 servo.forcelimited, servo.forcerange = True, [-force, force]
         world = spec.worldbody
+        spec.stat.extent = _EXTENT
         for i in range(self.trusses):
             truss = _hinged(world, f"truss_{i}", i, RACHIS + 2 * ATTACHED)
-            for k in range(self.fruit):
-                fruit = truss.add_body(name=f"fruit_{i}_{k}")
-                fruit.add_joint(type=mujoco.mjtJoint.mjJNT_BALL, armature=BALL_ARMATURE, stiffness=[0.02, 0, 0])
-                _fill_empty(fruit, 1 + PEDICEL)
+            _add_fruit(truss, f"fruit_{i}", self.fruit)
         for i in range(self.leaves):
             _hinged(world, f"leaf_{i}", self.trusses + i, PETIOLE + PLATES)
         for i in range(self.loose):
-            loose = world.add_body(name=f"loose_{i}", pos=[0, 0, 2 * _PARKED_HEIGHT + i])
-            loose.gravcomp = 1.0  # it waits without falling
-            loose.add_freejoint()
-            _fill_empty(loose, 1)
-        crate = world.add_body(name="crate", pos=self.crate.position)
+            _parked(world, f"loose_{i}", 2 * _PARKED_HEIGHT + i, 1)
+        for i in range(self.trusses if self.cutter else 0):
+            cut = _parked(world, f"cut_{i}", 3 * _PARKED_HEIGHT + i, RACHIS + 2 * ATTACHED)
+            _add_fruit(cut, f"cut_{i}", self.fruit, gravcomp=1.0)
+        crate = (world.first_body() if slides(spec) else world).add_body(name="crate", pos=self.crate.position)
+        crate.mass, crate.inertia, crate.explicitinertial = _CRATE_MASS, [0.05] * 3, True
         for k, (middle, half) in enumerate(self.crate.boxes):
             color = [0.2, 0.35, 0.7, 1] if k < 5 else [0.5, 0.5, 0.52, 1]
             crate.add_geom(
@@ -129,6 +132,21 @@ def _hinged(world: mujoco.MjsBody, name: str, number: int, geoms: int) -> mujoco
     return body
 
 
+def _parked(world: mujoco.MjsBody, name: str, height: float, geoms: int) -> mujoco.MjsBody:
+    """Add a free body that waits without falling."""
+    body = world.add_body(name=name, pos=[0, 0, height], gravcomp=1.0)
+    body.add_freejoint()
+    _fill_empty(body, geoms)
+    return body
+
+
+def _add_fruit(truss: mujoco.MjsBody, name: str, count: int, gravcomp: float = 0.0) -> None:
+    for k in range(count):
+        fruit = truss.add_body(name=f"{name}_{k}", gravcomp=gravcomp)
+        fruit.add_joint(type=mujoco.mjtJoint.mjJNT_BALL, armature=BALL_ARMATURE, stiffness=[0.02, 0, 0])
+        _fill_empty(fruit, 1 + PEDICEL)
+
+
 def _fill_empty(body: mujoco.MjsBody, geoms: int) -> None:
     body.mass, body.inertia, body.ipos, body.explicitinertial = 0.01, [1e-5] * 3, [0, 0, 0], True
     for _ in range(geoms):
@@ -150,6 +168,8 @@ class SlotIds:
         fruit: (trusses, fruit) bodies.
         leaf: (leaves,) bodies.
         loose: (loose,) bodies.
+        cut: (trusses,) bodies of cut trusses; none without a cutter.
+        cut_fruit: (trusses, fruit) bodies of their fruit.
         crate: Body of the crate.
         cup: Body of the suction cup.
         cup_geom: Its geom in the compiled order, or -1.
@@ -164,6 +184,10 @@ class SlotIds:
         self.fruit = np.array([[body(f"fruit_{i}_{k}") for k in range(layout.fruit)] for i in range(layout.trusses)])
         self.leaf = np.array([body(f"leaf_{i}") for i in range(layout.leaves)], dtype=np.int64)
         self.loose = np.array([body(f"loose_{i}") for i in range(layout.loose)])
+        cut = layout.trusses if layout.cutter else 0
+        self.cut = np.array([body(f"cut_{i}") for i in range(cut)], dtype=np.int64)
+        fruit = [[body(f"cut_{i}_{k}") for k in range(layout.fruit)] for i in range(cut)]
+        self.cut_fruit = np.array(fruit, dtype=np.int64).reshape(cut, layout.fruit)
         self.crate = body("crate")
         self.cup = int(model.site(TIP_SITE).bodyid[0])
         self.cup_geom = int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, CUP_GEOM))

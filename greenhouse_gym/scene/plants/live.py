@@ -61,8 +61,22 @@ class Felt(NamedTuple):
     damaged: int = 0
 
 
+class Work(NamedTuple):
+    """Fruit or truss in work.
+
+    Attributes:
+        number: Its number among the fruit or trusses; -1 without one.
+        point: (3,) where the tool has to go, or the middle of what it holds, metres.
+        radius: Radius of what is at the point, metres.
+    """
+
+    number: int
+    point: Array
+    radius: float
+
+
 class LivePlants:
-    """Plants of one simulation.
+    """Plants of one simulation, whose arm has a suction cup.
 
     Args:
         model: The simulation's own model.
@@ -74,6 +88,7 @@ class LivePlants:
     Attributes:
         state: (fruit,) state of each fruit in a slot.
         held: Index of the fruit in the cup, or -1.
+        cut: (trusses,) whether a truss was cut off.
     """
 
     def __init__(
@@ -84,11 +99,13 @@ class LivePlants:
         self.state = np.where(planted.fruit.ravel() >= 0, HANGING, EMPTY)
         self.wanted = planted.wanted.ravel()
         self.held = -1
-        self._bodies = planted.ids.fruit.ravel()
+        self._bodies = planted.ids.fruit.flatten()
         self._loose_of = np.full(layout.loose, -1)
         self._by_cup = np.zeros(len(self.state), dtype=np.bool_)
         self._settled = 0
         self._still = np.zeros(layout.loose, dtype=np.int64)
+        self.cut = np.zeros(layout.trusses, dtype=np.bool_)
+        self._truss_still = np.zeros(layout.trusses, dtype=np.int64)
         self._damaged: set[int] = set()
         self._press: dict[int, float] = {}
         self._pull, self._force, self._substeps = np.zeros(len(self.state)), np.zeros(3), 0
@@ -104,15 +121,28 @@ class LivePlants:
         """Return a copy for a copied model and state."""
         other = copy.copy(self)
         other.model, other.data = model, data
-        for name in ("state", "_loose_of", "_by_cup", "_damaged", "_press", "_pull", "_force", "_still"):
+        for name in (
+            "state", "cut", "_loose_of", "_by_cup", "_damaged", "_press", "_pull", "_force", "_still", "_truss_still",
+            "_bodies", "_limits",
+        ):  # fmt: skip
             setattr(other, name, copy.copy(getattr(self, name)))
         return other
 
-    def suck(self, on: bool) -> None:
-        """Switch the vacuum on, which holds the fruit at the cup if there is one, or off, which lets go."""
-        if on and self.held < 0:
+    @property
+    def holding(self) -> bool:
+        """True if the tool holds something."""
+        return self.held >= 0
+
+    @property
+    def hold_limit(self) -> float:
+        """Force at which the tool lets go, N."""
+        return self.planted.mechanics.cup_limit
+
+    def grip(self, on: bool) -> None:
+        """Switch the tool on, which holds what is at it if there is something, or off, which lets go."""
+        if on and not self.holding:
             self._catch()
-        elif not on and self.held >= 0:
+        elif not on and self.holding:
             self._release()
 
     def after_step(self, pressed: dict[int, float]) -> None:
@@ -128,14 +158,14 @@ class LivePlants:
             mujoco.mj_rnePostConstraint(self.model, self.data)
             pull, _ = stress(self.model, self.data, self._bodies, self._axes)
             self._pull += pull
-        if self.held >= 0:
+        if self.holding:
             self._force += held_force(self.data, self._ids)
 
     def finish_action(self) -> Felt:
         """Find the fruit that came off or came to rest and the organs damaged, with current kinematics."""
         steps, force = max(self._substeps, 1), self._force / max(self._substeps, 1)
         detached, knocked = self._part(self._pull / steps)
-        if self.held >= 0 and np.linalg.norm(force) > self.planted.mechanics.cup_limit:
+        if self.holding and np.linalg.norm(force) > self.hold_limit:
             self._release()
         crated, dropped = self._follow_loose()
         damaged = self._damage(steps)
@@ -144,9 +174,8 @@ class LivePlants:
         return Felt(force, detached, knocked, crated, dropped, damaged)
 
     def vacuum(self, force: Array) -> float:
-        """Return the reading of the vacuum: 1 at rest on a fruit, down to 0 at the cup's limit; 0 without one."""
-        limit = self.planted.mechanics.cup_limit
-        return 0.0 if self.held < 0 else max(0.0, 1.0 - float(np.linalg.norm(force)) / limit)
+        """Return the reading of the vacuum: 1 at rest on a fruit, down to 0 at the tool's limit; 0 without one."""
+        return max(0.0, 1.0 - float(np.linalg.norm(force)) / self.hold_limit) if self.holding else 0.0
 
     @property
     def crate(self) -> Crate:
@@ -182,16 +211,16 @@ class LivePlants:
         """Return the weight (3,) of a fruit that is not at rest, N."""
         return np.array([0.0, 0.0, -GRAVITY * self.model.body_mass[self.body_of(fruit)]])
 
-    def in_work(self, tip: Array) -> int:
-        """Return the held fruit, or the fruit to be picked that hangs nearest to the tip (3,); -1 without one."""
-        if self.held >= 0:
-            return self.held
-        left = np.flatnonzero(self.wanted & (self.state == HANGING))
-        if not len(left):
-            return -1
-        geoms = self.model.body_geomadr[self._bodies[left]]
-        offsets = self.data.geom_xpos[geoms] - tip
-        return int(left[(offsets * offsets).sum(axis=1).argmin()])
+    def work(self, tip: Array) -> Work:
+        """Return the held fruit, or the fruit to be picked that hangs nearest to the tip (3,)."""
+        fruit = self.held
+        if fruit < 0:
+            left = np.flatnonzero(self.wanted & (self.state == HANGING))
+            if not len(left):
+                return Work(-1, tip, 0.0)
+            offsets = self.data.geom_xpos[self.model.body_geomadr[self._bodies[left]]] - tip
+            fruit = int(left[(offsets * offsets).sum(axis=1).argmin()])
+        return Work(fruit, self.center(fruit), self.radius(fruit))
 
     def _catch(self) -> None:
         """Hold the nearest fruit that the cup can seal on."""

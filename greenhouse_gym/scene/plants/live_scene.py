@@ -48,6 +48,9 @@ def live_scene(plants: LivePlants, compiled: CompiledScene, leaves: bool, around
             shapes[row] = _moved(shapes[row], moved)
 
     for i, truss in enumerate(planted.trusses):
+        if plants.cut[i]:
+            gone.update(truss.rows, *((fruit.row, *fruit.pedicel) for fruit in truss.fruit))
+            continue
         body = int(planted.ids.truss[i])
         move(truss.rows, body, truss.root)
         for fruit in truss.fruit:

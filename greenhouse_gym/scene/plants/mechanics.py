@@ -37,6 +37,7 @@ class PlantMechanics:
             are 5 to 8 N.
         bend_limit: Bend of the pedicel that takes off a fruit without pull, radians. Bending needs less force.
         cup_limit: Force at which the suction cup lets go, N.
+        grip_limit: Force at which a cutter lets go of a truss, N.
         press_limit: Mean pressing force during an action that damages what does not move, or a fruit, N. Half the
             puncture force of ripe skin and more.
         truss_bend_limit: Bend of a peduncle that damages it, radians.
@@ -53,6 +54,7 @@ class PlantMechanics:
     pull_limit: float = 8.0
     bend_limit: float = np.pi / 3
     cup_limit: float = 18.0
+    grip_limit: float = 40.0
     press_limit: float = 10.0
     truss_bend_limit: float = 1.1
     leaf_bend_limit: float = 1.3

@@ -125,6 +125,11 @@ def plant(
     x, y, z = layout.crate.position
     model.body_pos[ids.crate] = placement.position + [cosine * x - sine * y, sine * x + cosine * y, z]
     model.body_quat[ids.crate] = [np.cos(turn / 2), 0.0, 0.0, np.sin(turn / 2)]
+    if model.body_parentid[ids.crate]:  # on a cart that slides
+        base, back = int(model.body_parentid[ids.crate]), np.empty(4)
+        mujoco.mju_negQuat(back, model.body_quat[base])
+        mujoco.mju_rotVecQuat(model.body_pos[ids.crate], model.body_pos[ids.crate] - model.body_pos[base], back)
+        mujoco.mju_mulQuat(model.body_quat[ids.crate], back, model.body_quat[ids.crate].copy())
     filler.finish(ids)
     return Planted(ids, tuple(trusses), tuple(leaves), fruit, np.isin(fruit, list(wanted)), mechanics, topology)
 
@@ -156,10 +161,10 @@ class _Filler:
     def __init__(self, compiled: CompiledScene, mechanics: PlantMechanics):
         self._model, self._first = compiled.model, int(compiled.obstacle_geoms.start)
         self._arrays, self._mechanics = compiled.scene.arrays, mechanics
-        self._colors = np.array(colors_of(compiled.scene))
+        self._colors = colors_of(compiled.scene)
         model = self._model
         for body in range(1, model.nbody):  # empty slots touch nothing
-            if model.body(body).name.startswith(("truss_", "fruit_", "leaf_", "loose_")):
+            if model.body(body).name.startswith(("truss_", "fruit_", "leaf_", "loose_", "cut_")):
                 first = int(model.body_geomadr[body])
                 model.geom_conaffinity[first : first + int(model.body_geomnum[body])] = 0
 
@@ -230,15 +235,17 @@ class _Filler:
                     model.qpos_spring[qpos] = torque[0] / stiffness
 
     def _part_overlaps(self, data: mujoco.MjData, ids: SlotIds) -> None:
-        """Let loose fruit pass the static shapes that they overlapped in the scan, which would eject them."""
+        """Let what comes loose pass the static shapes that it overlapped in the scan, which would eject it."""
         model = self._model
         static = self._first + np.arange(len(self._arrays.kinds))
         static = static[(model.geom_conaffinity[static] & LOOSE) > 0]
-        for body in ids.fruit.ravel():
-            fruit = int(model.body_geomadr[body])
-            apart = np.linalg.norm(data.geom_xpos[static] - data.geom_xpos[fruit], axis=1)
-            for geom in static[apart < model.geom_rbound[static] + model.geom_rbound[fruit]]:
-                if mujoco.mj_geomDistance(model, data, fruit, int(geom), 0.0, None) < 0:
+        loose = [int(model.body_geomadr[body]) for body in ids.fruit.ravel()]
+        for body in ids.truss[: len(ids.cut)]:  # whole trusses come loose
+            loose += range(int(model.body_geomadr[body]), int(model.body_geomadr[body] + model.body_geomnum[body]))
+        for one in loose:
+            apart = np.linalg.norm(data.geom_xpos[static] - data.geom_xpos[one], axis=1)
+            for geom in static[apart < model.geom_rbound[static] + model.geom_rbound[one]]:
+                if mujoco.mj_geomDistance(model, data, one, int(geom), 0.0, None) < 0:
                     model.geom_conaffinity[geom] &= ~LOOSE
 
     def _hinges(self, body: int, branch: Branch, stiffness: float) -> None:
@@ -257,7 +264,7 @@ class _Filler:
         shapes = shapes._replace(starts=shapes.starts - origin, ends=shapes.ends - origin)
         first = int(model.body_geomadr[body])
         own = slice(first, first + len(shapes.kinds))
-        write_geoms(model, own, shapes, colors.tolist())
+        write_geoms(model, own, shapes, colors)
         model.geom_conaffinity[own] = ALL
         mass, center, inertia, quat = mass_properties(shapes, self._mechanics)
         model.body_mass[body], model.body_inertia[body] = mass, inertia
