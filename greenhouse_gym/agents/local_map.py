@@ -11,7 +11,6 @@ from greenhouse_gym.agents.agent import Problem
 from greenhouse_gym.agents.occupancy_map import OccupancyMap
 from greenhouse_gym.geometry import (
     Array,
-    Box,
     distance_to_nearest,
     distance_to_shapes,
     invert,
@@ -102,16 +101,22 @@ class LocalMap:
         scene, points = self._scene, self._unexplained_points(boxes)
         points = points[self._distances(points, self._arm.centers(command[None])[0]) > _AT_ARM]
         covered = boxes_around_points(transform(self._scene_from_base, points), voxel)
-        clutter = [shape for shape in scene.clutter if boxes or not isinstance(shape, Box) or not self._examined(shape)]
-        return scene.model_copy(update={"clutter": (*clutter, *covered), "occupancy": self._occupancy()})
+        if not boxes:
+            clutter = range(sum(scene.counts[:2]), scene.count)
+            kept = np.array([not self._examined(k) for k in clutter], dtype=np.bool_)
+            scene = scene.with_columns(scene.columns.with_clutter(kept), changed=("clutter",))
+        return scene.with_space(covered).model_copy(update={"occupancy": self._occupancy()})
 
     def _unexplained_points(self, boxes: bool) -> Array:
         return self.points if boxes else np.concatenate([self.points, self.points_at_boxes])
 
-    def _examined(self, box: Box) -> bool:
-        """Return whether the camera has observed most of a box of the scan's clutter."""
-        along = [np.linspace(-1, 1, 2 + int(2 * half / _SPACING)) * half for half in np.asarray(box.half_extents)]
-        inside = np.stack(np.meshgrid(*along), axis=-1).reshape(-1, 3) @ np.asarray(box.rotation).T + box.center
+    def _examined(self, index: int) -> bool:
+        """Return whether the camera has observed most of a shape of the scan, which is a box."""
+        kind, center, _, sizes, rotation = (array[index] for array in self._shapes)
+        if kind != BOX:
+            return False
+        along = [np.linspace(-1, 1, 2 + int(2 * half / _SPACING)) * half for half in sizes]
+        inside = np.stack(np.meshgrid(*along), axis=-1).reshape(-1, 3) @ rotation.T + center
         return bool(self._map.observed(transform(self._base_from_scene, inside)).mean() > _EXAMINED)
 
     def blocked(self, configurations: Array, boxes: bool = True) -> bool:

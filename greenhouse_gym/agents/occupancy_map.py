@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,7 +22,7 @@ from greenhouse_gym.robots import Robot
 from greenhouse_gym.robots.kinematics import Chain, joint_frames
 
 _BOX = VoxelBox((-0.4, -1.1, -0.8), (38, 55, 48), 0.04)  # cells that are observed or not
-_POINT = 0.012  # metres: side of the cells that keep one point each
+_POINTS = VoxelBox(_BOX.low, (127, 184, 161), 0.012)  # cells that keep one point each
 _ARM, _TARGET = 0.008, 0.006  # metres: points so near to the surface of the arm or the target belong to it
 _STAND, _BASE = 0.25, 0.12  # metres: radius and height of the arm's stand and base
 _EVERY_RAY = 5  # one ray in so many marks cells; it does not divide the image's width, so the columns vary by row
@@ -46,12 +47,17 @@ class WristReading(NamedTuple):
 def wrist_reading(observation: Mapping[str, Any], robot: Robot) -> WristReading:
     """Decode an observation of ``observation="depth"`` of an arm."""
     state = observation["state"].astype(np.float64)
-    features = feature_slices(DepthObservation()(robot, TomatoReach()).layout)
+    features = _features_of(robot)
     joints, command_error, target = (
         state[features[name]] for name in ("joint_position", "command_error", "target_position")
     )
     command = np.clip(joints + command_error, robot.lower, robot.upper)
     return WristReading(observation["depth"][0] * MAX_RANGE, joints, command, target)
+
+
+@lru_cache(maxsize=8)
+def _features_of(robot: Robot) -> Mapping[str, slice]:
+    return feature_slices(DepthObservation()(robot, TomatoReach()).layout)
 
 
 def wrist_camera(chain: Chain, configurations: Array) -> tuple[Array, Array]:
@@ -79,7 +85,7 @@ class OccupancyMap:
         self._arm, self._camera, self._target, self._radius, self._noisy = arm, camera, target, radius, noisy
         self.points: Array = np.empty((0, 3))
         self.uncertainty: Array = np.empty(0)
-        self._keys = np.empty(0, dtype=np.int64)
+        self._has_point = np.zeros(_POINTS.size, dtype=np.bool_)
         self._observed = np.zeros(_BOX.size, dtype=np.bool_)
 
     def observed(self, points: Array) -> npt.NDArray[np.bool_]:
@@ -121,10 +127,9 @@ class OccupancyMap:
 
     def _keep(self, points: Array, uncertainty: Array) -> None:
         """Keep the first point of each cell that has none yet."""
-        cells = np.floor((points - np.asarray(_BOX.low)) / _POINT).astype(np.int64)
-        keys = (cells[:, 0] << 40) | (cells[:, 1] << 20) | cells[:, 2]
-        keys, first = np.unique(keys, return_index=True)
-        first = first[~np.isin(keys, self._keys, assume_unique=True)]
-        self._keys = np.union1d(self._keys, keys)
+        cells = _POINTS.indices(points)
+        new = np.flatnonzero(~self._has_point[cells])
+        first = new[np.unique(cells[new], return_index=True)[1]]
+        self._has_point[cells[new]] = True
         self.points = np.concatenate([self.points, points[first]])
         self.uncertainty = np.concatenate([self.uncertainty, uncertainty[first]])

@@ -54,10 +54,9 @@ class ScannedStand:
             tomatoes.append(tomato)
         stems = tuple(replace(stem, radius=stem.radius + apart) for stem in scene.stems) if apart else scene.stems
         clutter = (*scene.clutter, *self._crate(around))
-        if seen:
-            clutter += tuple(boxes_around_points(self._unscanned(), _VOXEL))
         parts = {"tomatoes": tuple(tomatoes), "stems": stems, "clutter": clutter, "targets": (), "truth": None}
-        return scene.model_copy(update=parts)
+        known = scene.model_copy(update=parts)
+        return known.with_space(boxes_around_points(self._unscanned(), _VOXEL)) if seen else known
 
     def blocks(self, configurations: Array) -> bool:
         """Return whether the camera sees something in the way of an arm in configurations (m, j)."""

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.crops.parts import STEM_KINDS, Stem, Tomato
+from greenhouse_gym.crops.shape_columns import ShapeColumns
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import (
     Array,
@@ -22,7 +23,6 @@ from greenhouse_gym.geometry import (
     quaternions_from,
     rotations_from,
     transform,
-    unchecked,
 )
 from greenhouse_gym.geometry.shape_arrays import BOX, CAPSULE, ELLIPSOID, SPHERE
 
@@ -96,7 +96,13 @@ def as_tables(tomatoes: Iterable[Tomato], stems: Iterable[Stem], clutter: Iterab
 
 
 def from_tables(tables: ShapeTables) -> ShapeParts:
-    """Convert tables back to shapes; clutter comes sorted by type.
+    """Convert tables back to shapes, as `columns_of_tables` does."""
+    columns = columns_of_tables(tables)
+    return ShapeParts(columns.tomatoes(), columns.stems(), columns.clutter())
+
+
+def columns_of_tables(tables: ShapeTables) -> ShapeColumns:
+    """Convert tables to columns; clutter comes sorted by type.
 
     Raises:
         InvalidValueError: A table has another shape, holds numbers that are not finite, or describes an impossible
@@ -114,33 +120,29 @@ def from_tables(tables: ShapeTables) -> ShapeParts:
     for name, (first, end) in sizes.items():
         if not (getattr(tables, name)[:, first:end] > 0).all():
             raise InvalidValueError(f"{name}: expected positive sizes")
-    tables = ShapeTables(*(table.copy() for table in tables))
-    rotations = rotations_from(tables.boxes[:, 6:])
-    for table in (*tables, rotations):
-        table.setflags(write=False)  # shapes are immutable, and these are views
-    _, stems, balls, capsules, boxes = tables
-    centers, halves = np.split(boxes[:, :6], 2, axis=1)
-    names = [STEM_KINDS[int(kind)] for kind in kinds]
-    segments = ("start", "end", "radius")
-    clutter: list[Sphere | Capsule | Box] = [
-        *unchecked(Sphere, ("center", "radius"), zip(balls[:, :3], balls[:, 3].tolist(), strict=True)),
-        *unchecked(Capsule, segments, _segments(capsules)),
-        *unchecked(Box, ("center", "half_extents", "rotation"), zip(centers, halves, rotations, strict=True)),
-    ]
-    kinds_of = ((*row, name) for row, name in zip(_segments(stems), names, strict=True))
-    kept = unchecked(Stem, (*segments, "kind"), kinds_of)
-    return ShapeParts(tuple(_tomatoes(tables.tomatoes)), tuple(kept), tuple(clutter))
+    tomatoes, _, spheres, capsules, boxes = tables
+    stretched = np.asarray(tomatoes[:, 6:].any(axis=1))
+    measures = np.where(stretched[:, None], tomatoes[:, 6:9], tomatoes[:, 3:4])
+    if not ((measures > 0).all() and (tomatoes[:, 5] <= 1).all()):
+        raise InvalidValueError("tomatoes: expected positive sizes, and ripeness up to 1")
+    return ShapeColumns(
+        arrays=_arrays_of(tables, stretched),
+        radii=np.where(stretched, np.cbrt(tomatoes[:, 6:9].prod(axis=1)), tomatoes[:, 3]),
+        trusses=tomatoes[:, 4].astype(np.int64),
+        ripeness=np.where(tomatoes[:, 5] < 0, np.nan, tomatoes[:, 5]),
+        kinds=kinds.astype(np.int8),
+        space=np.zeros(len(spheres) + len(capsules) + len(boxes), dtype=np.bool_),
+    )
 
 
-def arrays_of_tables(tables: ShapeTables) -> ShapeArrays:
-    """Return the arrays of the shapes that `from_tables` returns."""
+def _arrays_of(tables: ShapeTables, stretched: npt.NDArray[np.bool_]) -> ShapeArrays:
+    """Return the shapes of tables, of whose tomatoes some are stretched."""
     tomatoes, stems, spheres, capsules, boxes = tables
     arrays = ShapeArrays.empty(sum(map(len, tables)))
     ends = np.cumsum([len(table) for table in tables])
     fruit, stalks, balls, segments, leaves = (slice(end - len(t), end) for end, t in zip(ends, tables, strict=True))
     arrays.starts[:] = np.concatenate([table[:, :3] for table in tables])
     arrays.ends[:] = arrays.starts
-    stretched = tomatoes[:, 6:].any(axis=1)
     arrays.kinds[fruit], arrays.kinds[leaves] = np.where(stretched, ELLIPSOID, SPHERE), BOX
     arrays.sizes[fruit, 0], arrays.sizes[balls, 0], arrays.sizes[leaves] = tomatoes[:, 3], spheres[:, 3], boxes[:, 3:6]
     arrays.sizes[fruit][stretched] = tomatoes[stretched, 6:9]
@@ -149,11 +151,6 @@ def arrays_of_tables(tables: ShapeTables) -> ShapeArrays:
     for part, table in ((stalks, stems), (segments, capsules)):
         arrays.kinds[part], arrays.ends[part], arrays.sizes[part, 0] = CAPSULE, table[:, 3:6], table[:, 6]
     return arrays
-
-
-def _segments(table: Array) -> Iterable[tuple[Array, Array, float]]:
-    """Return the start, the end and the radius of each row."""
-    return zip(table[:, :3], table[:, 3:6], table[:, 6].tolist(), strict=True)
 
 
 def transform_tables(tables: ShapeTables, target_from_source: Array) -> ShapeTables:
@@ -189,25 +186,3 @@ def _tomato_row(tomato: Tomato) -> list[float]:
         [*shape.semi_axes, *quaternions_from([shape.rotation])[0]] if isinstance(shape, Ellipsoid) else [0.0] * 7
     )
     return [*shape.center, shape.radius, tomato.truss, -1.0 if tomato.ripeness is None else tomato.ripeness, *stretch]
-
-
-def _tomatoes(table: Array) -> list[Tomato]:
-    """Return the tomatoes of a table.
-
-    Raises:
-        InvalidValueError: A size is not positive, or a ripeness is above 1.
-    """
-    stretched = np.asarray(table[:, 6:].any(axis=1))
-    balls, others = table[~stretched], table[stretched]
-    axes, rotations = others[:, 6:9], rotations_from(others[:, 9:])
-    if not ((balls[:, 3] > 0).all() and (axes > 0).all() and (table[:, 5] <= 1).all()):
-        raise InvalidValueError("tomatoes: expected positive sizes, and ripeness up to 1")
-    for array in (balls, others, axes, rotations):
-        array.setflags(write=False)
-    radii = np.cbrt(axes.prod(axis=1)).tolist()
-    spheres = iter(unchecked(Sphere, ("center", "radius"), zip(balls[:, :3], balls[:, 3].tolist(), strict=True)))
-    fields = ("center", "semi_axes", "rotation", "radius")
-    ellipsoids = iter(unchecked(Ellipsoid, fields, zip(others[:, :3], axes, rotations, radii, strict=True)))
-    shapes = [next(ellipsoids if is_ellipsoid else spheres) for is_ellipsoid in stretched.tolist()]
-    trusses, ripeness = table[:, 4].astype(int).tolist(), [None if r < 0 else r for r in table[:, 5].tolist()]
-    return unchecked(Tomato, ("shape", "truss", "ripeness"), zip(shapes, trusses, ripeness, strict=True))

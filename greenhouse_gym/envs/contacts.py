@@ -65,8 +65,8 @@ def geom_groups(compiled: CompiledScene) -> Groups:
     scene, slots, world = compiled.scene, compiled.obstacle_geoms, int(compiled.model.body_geomnum[0])
     groups = np.full(compiled.model.ngeom, _SELF, dtype=np.int8)
     groups[:world] = _FIXTURE
-    kinds = ["fruit"] * len(scene.tomatoes)
-    kinds += ["fixture" if stem.kind in _FIXTURES else "stem" for stem in scene.stems]
+    kinds = ["fruit"] * scene.counts[0]
+    kinds += ["fixture" if kind in _FIXTURES else "stem" for kind in scene.columns.stem_kinds]
     groups[slots.start : slots.start + len(kinds)] = [CONTACT_GROUPS.index(kind) for kind in kinds]
     groups[compiled.leaf_geoms] = LEAF
     return groups

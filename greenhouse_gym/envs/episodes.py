@@ -252,7 +252,7 @@ class EpisodeSampler:
         )
 
     def _rate(self, scene: Scene, tomato: Any) -> tuple[int, str]:
-        count = len(scene.tomatoes)
+        count = scene.counts[0]
         if isinstance(tomato, bool) or not isinstance(tomato, (int, np.integer)) or not 0 <= tomato < count:
             raise InvalidValueError(
                 f"target must be a tomato of scene {scene.name!r}, 0 to {count - 1}, got {tomato!r}"

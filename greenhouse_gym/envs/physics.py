@@ -97,10 +97,10 @@ class Physics:
 
     def __init__(self, count: int, world: World, threads: int, timing: ControlTiming, ends_on: Collection[str]):
         compiled = world.compiled
-        self.models = [copy.copy(compiled.model) for _ in range(count)]
-        for model in self.models:
-            model.opt.enableflags |= _SLEEP
-            put_arm_first(model)
+        model = copy.copy(compiled.model)
+        model.opt.enableflags |= _SLEEP
+        put_arm_first(model)
+        self.models = [model, *(copy.copy(model) for _ in range(count - 1))]
         self._timing = timing
         self._leaves_push = world.leaves == "rigid"
         self._ends = np.isin(CONTACT_GROUPS, list(ends_on))

@@ -161,4 +161,4 @@ class World:
 
     def goal_in_scene(self, target: int) -> Array:
         """Return the center (3,) of the simulated target in the scene, metres."""
-        return self.compiled.scene.tomatoes[int(self.bodies[target])].center
+        return self.compiled.scene.arrays.starts[int(self.bodies[target])]

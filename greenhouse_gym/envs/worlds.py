@@ -184,9 +184,9 @@ def _with_slots(spec: mujoco.MjSpec, layout: Layout, record: Callable[[mujoco.Mj
 
 def spheres_in_base(scene: Shapes, scene_from_base: Array) -> Array:
     """Return the tomatoes (t, 4), their centers in the base frame and radii, metres."""
-    centers = np.array([tomato.center for tomato in scene.tomatoes]).reshape(-1, 3)
-    radii = np.array([[tomato.radius] for tomato in scene.tomatoes]).reshape(-1, 1)
-    return np.hstack([transform(invert(scene_from_base), centers), radii])
+    radii = scene.columns.radii
+    centers = scene.arrays.starts[: len(radii)]
+    return np.hstack([transform(invert(scene_from_base), centers), radii[:, None]])
 
 
 @lru_cache(maxsize=CACHED_KINDS)

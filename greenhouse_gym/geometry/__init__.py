@@ -26,7 +26,7 @@ from greenhouse_gym.geometry.poses import (
     rotations_from,
     transform,
 )
-from greenhouse_gym.geometry.shape_arrays import ShapeArrays, arrays_of
+from greenhouse_gym.geometry.shape_arrays import ShapeArrays, arrays_of, shapes_from
 from greenhouse_gym.geometry.shapes import (
     Box,
     Capsule,
@@ -34,7 +34,7 @@ from greenhouse_gym.geometry.shapes import (
     Shape,
     Sphere,
     centered_at,
-    shapes_of,
+    checked_columns,
     transformed,
     unchecked,
 )
@@ -52,6 +52,7 @@ __all__ = [
     "arrays_of",
     "bounding_balls",
     "centered_at",
+    "checked_columns",
     "closest_on_segments",
     "distance_to_boxes",
     "distance_to_capsules",
@@ -69,7 +70,7 @@ __all__ = [
     "rotation_about",
     "rotation_angle",
     "rotations_from",
-    "shapes_of",
+    "shapes_from",
     "transform",
     "transformed",
     "unchecked",

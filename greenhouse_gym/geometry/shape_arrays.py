@@ -9,10 +9,19 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.geometry.arrays import Array
-from greenhouse_gym.geometry.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
+from greenhouse_gym.geometry.shapes import Box, Capsule, Ellipsoid, Shape, Sphere, unchecked
 
 SPHERE, CAPSULE, ELLIPSOID, BOX = range(4)
-_TYPES: tuple[type[Shape], ...] = (Sphere, Capsule, Ellipsoid, Box)
+TYPES: tuple[type[Shape], ...] = (Sphere, Capsule, Ellipsoid, Box)
+"""Types of shapes by their kinds."""
+
+FIELDS = (
+    ("center", "center", "radius"),
+    ("start", "end", "radius"),
+    ("center", "center", "semi_axes"),
+    ("center", "center", "half_extents"),
+)
+"""Start, end and size of each kind."""
 
 
 class ShapeArrays(NamedTuple):
@@ -38,6 +47,17 @@ class ShapeArrays(NamedTuple):
         starts, ends, sizes = np.zeros((3, count, 3))
         return cls(np.zeros(count, np.int8), starts, ends, sizes, np.tile(np.eye(3), (count, 1, 1)))
 
+    @classmethod
+    def of_boxes(cls, centers: Array, half_extents: Array) -> ShapeArrays:
+        """Return boxes (n, 3), (n, 3) along the axes."""
+        rotations = np.tile(np.eye(3), (len(centers), 1, 1))
+        return cls(np.full(len(centers), BOX, np.int8), centers, centers, half_extents, rotations)
+
+    @classmethod
+    def joined(cls, parts: Sequence[ShapeArrays]) -> ShapeArrays:
+        """Return all shapes of some arrays."""
+        return cls._make(np.concatenate([part[k] for part in parts]) for k in range(len(cls._fields)))
+
     def select(self, chosen: slice | npt.NDArray[np.integer]) -> ShapeArrays:
         """Return the shapes at the given indices."""
         return ShapeArrays._make(array[chosen] for array in self)
@@ -46,12 +66,12 @@ class ShapeArrays(NamedTuple):
 def arrays_of(shapes: Sequence[Shape]) -> ShapeArrays:
     """Convert shapes to arrays."""
     result = ShapeArrays.empty(len(shapes))
-    for kind, shape_type in enumerate(_TYPES):
+    for kind, shape_type in enumerate(TYPES):
         rows = [k for k, shape in enumerate(shapes) if isinstance(shape, shape_type)]
         if not rows:
             continue
         chosen = [shapes[k] for k in rows]
-        first, last, size = _FIELDS[kind]
+        first, last, size = FIELDS[kind]
         result.kinds[rows] = kind
         result.starts[rows] = [getattr(shape, first) for shape in chosen]
         result.ends[rows] = result.starts[rows] if first == last else [getattr(shape, last) for shape in chosen]
@@ -62,9 +82,20 @@ def arrays_of(shapes: Sequence[Shape]) -> ShapeArrays:
     return result
 
 
-_FIELDS = (
-    ("center", "center", "radius"),
-    ("start", "end", "radius"),
-    ("center", "center", "semi_axes"),
-    ("center", "center", "half_extents"),
-)
+def shapes_from(arrays: ShapeArrays) -> list[Shape]:
+    """Convert arrays back to shapes; their fields are views of the arrays."""
+    views = [array.view() for array in arrays[1:]]
+    for view in views:
+        view.setflags(write=False)
+    made: list[Shape] = []
+    for kind, start, end, size, rotation in zip(arrays.kinds.tolist(), *views, strict=True):
+        if kind == SPHERE:
+            made += unchecked(Sphere, ("center", "radius"), [(start, float(size[0]))])
+        elif kind == CAPSULE:
+            made += unchecked(Capsule, ("start", "end", "radius"), [(start, end, float(size[0]))])
+        elif kind == BOX:
+            made += unchecked(Box, ("center", "half_extents", "rotation"), [(start, size, rotation)])
+        else:
+            row = start, size, rotation, float(np.cbrt(size.prod()))
+            made += unchecked(Ellipsoid, ("center", "semi_axes", "rotation", "radius"), [row])
+    return made

@@ -125,8 +125,8 @@ AnyShape = TypeVar("AnyShape", bound=Shape)
 Made = TypeVar("Made")
 
 
-def shapes_of(shape_type: type[AnyShape], columns: Mapping[str, Sequence[Any]]) -> list[AnyShape]:
-    """Return shapes of one type, checked all at once, which takes a tenth of the time.
+def checked_columns(shape_type: type[Shape], columns: Mapping[str, Sequence[Any]]) -> dict[str, Array]:
+    """Return the fields of shapes of one type as arrays, checked all at once.
 
     Args:
         shape_type: The type.
@@ -142,15 +142,13 @@ def shapes_of(shape_type: type[AnyShape], columns: Mapping[str, Sequence[Any]]) 
         positive = name in ("radius", "half_extents", "semi_axes")
         if array.shape[1:] != expected or not np.isfinite(array).all() or (positive and not (array > 0).all()):
             raise InvalidValueError(f"{name}: expected numbers of shape {expected}, and positive sizes")
-        array.setflags(write=False)
     if "rotation" in arrays and not are_rotations(arrays["rotation"]).all():
         raise InvalidValueError("rotations must be orthonormal with determinant 1")
     if shape_type is Ellipsoid:
         exact = np.cbrt(arrays["semi_axes"].prod(axis=1))
         if not (np.abs(arrays["radius"] - exact) <= _RADIUS_TOLERANCE).all():
             raise InvalidValueError("radius must be that of the same volume")
-    rows = (array.tolist() if name == "radius" else array for name, array in arrays.items())
-    return unchecked(shape_type, columns, zip(*rows, strict=True))
+    return arrays
 
 
 def unchecked(kind: type[Made], fields: Iterable[str], rows: Iterable[Iterable[Any]]) -> list[Made]:

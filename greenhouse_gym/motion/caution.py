@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -11,9 +10,9 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.crops.parts import is_leaf
 from greenhouse_gym.errors import InvalidValueError, is_number
-from greenhouse_gym.geometry import Box, distance_to_nearest
+from greenhouse_gym.geometry import distance_to_nearest
+from greenhouse_gym.geometry.shape_arrays import BOX
 from greenhouse_gym.motion.collision import LEAVES, planning_model
 from greenhouse_gym.motion.goals import GoalSampler
 from greenhouse_gym.motion.roadmap import Roadmap, SceneRoadmaps
@@ -116,23 +115,23 @@ def check_margin(margin: float) -> float:
 
 @lru_cache(maxsize=4)
 def _with_margin(key: ByIdentity, robot: Robot, start: tuple[float, ...], margin: float, leaves: str) -> Scene:
-    scene = key.scene
-    brush = leaves == "brush"
-    enlarged = [
-        shape if not isinstance(shape, Box) or (brush and is_leaf(shape))
-        else replace(shape, half_extents=shape.half_extents + margin)
-        for shape in scene.clutter
-    ]  # fmt: skip
-    compiled = compile_scene(scene.model_copy(update={"clutter": tuple(enlarged)}), robot)
+    scene, columns = key.scene, key.scene.columns
+    enlarged = columns.arrays.kinds == BOX
+    if leaves == "brush":
+        enlarged[columns.leaves] = False
+
+    def widened() -> Scene:
+        sizes = np.where(enlarged[:, None], columns.arrays.sizes + margin, columns.arrays.sizes)
+        return scene.with_columns(columns._replace(arrays=columns.arrays._replace(sizes=sizes)))
+
+    compiled = compile_scene(widened(), robot)
     model = planning_model(compiled, 0)
     data = mujoco.MjData(model)
     data.qpos[:] = start
     mujoco.mj_forward(model, data)
-    first = compiled.obstacle_geoms.start + len(scene.tomatoes) + len(scene.stems)
-    for index in {int(geom) - first for geom in data.contact.geom.flat}:
-        if 0 <= index < len(enlarged):
-            enlarged[index] = scene.clutter[index]
-    return scene.model_copy(update={"clutter": tuple(enlarged)})
+    slots = data.contact.geom.reshape(-1) - compiled.obstacle_geoms.start
+    enlarged[slots[(slots >= 0) & (slots < len(enlarged))]] = False
+    return widened()
 
 
 def with_unexplained_cells(scene: Scene, robot: Robot, start: npt.ArrayLike) -> Scene:
@@ -161,7 +160,7 @@ def _with_unexplained_cells(key: ByIdentity, robot: Robot, start: tuple[float, .
     at_arm = inside_boxes(origin + (indices + 0.5) * voxel, boxes_around_arm(scene, robot, start), voxel)
     solid = np.zeros_like(cells)
     solid[tuple(indices[~at_arm].T)] = True
-    return scene.model_copy(update={"clutter": (*scene.clutter, *boxes_covering(solid, origin, voxel))})
+    return scene.with_space(boxes_covering(solid, origin, voxel))
 
 
 def unexplained_cells(scene: Scene) -> Cells:

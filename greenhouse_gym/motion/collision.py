@@ -72,7 +72,7 @@ def planning_model(
         InvalidValueError: The scene has no such tomato.
         UnknownNameError: No such pair, or no such treatment of leaves.
     """
-    count = len(compiled.scene.tomatoes)
+    count = compiled.scene.counts[0]
     if not isinstance(target, int | np.integer) or isinstance(target, bool) or not 0 <= target < count:
         raise InvalidValueError(f"target {target!r}: scene {compiled.scene.name!r} has tomatoes 0 to {count - 1}")
     model = with_world_at_rest(compiled.model)
@@ -123,7 +123,7 @@ def _leave_out(compiled: CompiledScene, model: mujoco.MjModel, pairs: Collection
     """Let the arm pass through some groups of geoms."""
     scene, first = compiled.scene, int(compiled.obstacle_geoms.start)
     world = np.flatnonzero(model.geom_bodyid == 0)
-    tomatoes, stems, clutter = len(scene.tomatoes), len(scene.stems), len(scene.clutter)
+    tomatoes, stems, clutter = scene.counts
     geoms = {
         "tomatoes": np.arange(first, first + tomatoes),
         "stems": np.arange(first + tomatoes, first + tomatoes + stems),

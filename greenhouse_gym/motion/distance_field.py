@@ -88,13 +88,16 @@ def _parts(shapes: ShapeArrays, scene_from_base: Array) -> tuple[Float32, Float3
     return np.ascontiguousarray(capsules.T, dtype=np.float32), np.ascontiguousarray(boxes.T, dtype=np.float32)
 
 
+_SLOTS = 256  # at first, 3 MB each; memory is taken by those in use only
+
+
 class FieldStore:
     """Fields of many scenes in one array, indexed by slot; they are computed by threads until they are looked up."""
 
     def __init__(self) -> None:
         self._pending: list[Future[npt.NDArray[np.void]]] = []
-        self._nodes = np.empty((16, _SIZE), dtype=np.uint64)
-        self._free = list(range(15, -1, -1))
+        self._nodes = np.empty((_SLOTS, _SIZE), dtype=np.uint64)
+        self._free = list(range(_SLOTS - 1, -1, -1))
 
     def __len__(self) -> int:
         return len(self._nodes) - len(self._free)

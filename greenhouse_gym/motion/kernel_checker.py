@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.motion.collision import CollisionChecker
+from greenhouse_gym.motion.collision import CollisionChecker, halving_order
 from greenhouse_gym.motion.proof import ProvingChecker
 from greenhouse_gym.robots.kinematics import Chain, joint_frames, tool_chain
 from greenhouse_gym.robots.robot import TIP_SITE
@@ -43,25 +43,41 @@ class KernelChecker(CollisionChecker):
 
     def are_free(self, configurations: Array) -> npt.NDArray[np.bool_]:
         """Return whether each of some configurations (k, joints) is collision-free, (k,)."""
-        found = contacts_in(self.world, configurations)
-        self.checks += len(found)
-        return ~found
+        self.checks += len(configurations)
+        return ~contacts_in(self.world, configurations)
+
+    def motion_is_free(self, start: npt.ArrayLike, end: npt.ArrayLike, resolution: float) -> bool:
+        """Return what `CollisionChecker.motion_is_free` does, by one call of a kernel."""
+        a, b = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
+        first, last = (b, a) if tuple(a) > tuple(b) else (a, b)
+        motion = last - first
+        fractions = halving_order(self._steps(motion, resolution))
+        configurations = np.empty((2 + len(fractions), len(a)))
+        configurations[0], configurations[1] = b, a
+        np.add(first, fractions * motion, out=configurations[2:])
+        return self._all_free(configurations)
 
     def _all_free(self, configurations: Iterable[npt.ArrayLike]) -> bool:
+        from greenhouse_gym.motion.collision_kernels import FIRST, smallest_gaps
+
         q = configurations if isinstance(configurations, np.ndarray) else np.array(tuple(configurations))
-        found = contacts_in(self.world, q, first=True)
-        self.checks += len(found)
-        return not found.any()
+        if not len(q):
+            return True
+        gaps = np.empty(len(q))
+        q = np.ascontiguousarray(q, dtype=np.float64)
+        count = smallest_gaps(self.world, q, FIRST, 0.0, 0.0, 0.0, gaps, _NO_MARKS)
+        self.checks += count
+        return bool(gaps[count - 1] >= 0.0)
 
 
-def contacts_in(world: World, configurations: Array, first: bool = False) -> npt.NDArray[np.bool_]:
-    """Return whether each of some configurations (k, n) is in collision, (k,); with ``first``, up to the first one."""
-    from greenhouse_gym.motion.collision_kernels import CONTACTS, FIRST, smallest_gaps
+def contacts_in(world: World, configurations: Array) -> npt.NDArray[np.bool_]:
+    """Return whether each of some configurations (k, n) is in collision, (k,)."""
+    from greenhouse_gym.motion.collision_kernels import CONTACTS, smallest_gaps
 
     gaps = np.empty(len(configurations))
     q = np.ascontiguousarray(configurations, dtype=np.float64)
-    count = smallest_gaps(world, q, FIRST if first else CONTACTS, 0.0, 0.0, 0.0, gaps, _NO_MARKS)
-    return gaps[:count] < 0.0
+    smallest_gaps(world, q, CONTACTS, 0.0, 0.0, 0.0, gaps, _NO_MARKS)
+    return gaps < 0.0
 
 
 def gaps_in(world: World, configurations: Array, largest: float, slack: float = np.inf, floor: float = 0.0) -> Array:

@@ -14,9 +14,9 @@ import numpy.typing as npt
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
 
-from greenhouse_gym.crops.parts import SpaceBox, Tomato
+from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.errors import InvalidValueError, is_number, require_choice
-from greenhouse_gym.geometry import Array, bounding_balls, distance_to_shapes
+from greenhouse_gym.geometry import Array, ShapeArrays, bounding_balls, distance_to_shapes
 from greenhouse_gym.motion.collision import CollisionChecker, planning_model
 from greenhouse_gym.motion.joint_reaches import arm_reaches
 from greenhouse_gym.motion.path import along_path
@@ -73,7 +73,7 @@ def occupancy_of(scene: Scene) -> OccupancyGrid:
     )
 
 
-def unknown_boxes(scene: Scene, robot: Robot, start: npt.ArrayLike, depth: float = 0.0) -> list[SpaceBox]:
+def unknown_boxes(scene: Scene, robot: Robot, start: npt.ArrayLike, depth: float = 0.0) -> ShapeArrays:
     """Return boxes over the unknown space within reach that the arm must not enter.
 
     The space of the arm and its cart at the start counts as known, and so does the inside of tomatoes. Beyond the reach
@@ -104,8 +104,9 @@ def unknown_lengths(scene: Scene, robot: Robot, paths: Sequence[Array]) -> list[
     """Return `unknown_length` and the whole length of the tip's path, metres, of paths (k, joints) from one start."""
     compiled = guarded(scene, robot, paths[0][0])
     model = planning_model(compiled, 0, margin=0.0, pairs=("clutter",))
-    first = compiled.obstacle_geoms.start + len(scene.tomatoes) + len(scene.stems)
-    known = slice(first, first + len(scene.clutter))
+    tomatoes, stems, clutter = scene.counts
+    first = compiled.obstacle_geoms.start + tomatoes + stems
+    known = slice(first, first + clutter)
     model.geom_contype[known] = model.geom_conaffinity[known] = 0
     checker = CollisionChecker(model, arm_reaches(robot))
     chain = tool_chain(compiled.model, compiled.tip_site)
@@ -137,8 +138,7 @@ class ByIdentity:
 def _guarded(key: ByIdentity, robot: Robot, start: tuple[float, ...], depth: float) -> CompiledScene:
     scene = key.scene
     if not np.isinf(depth):
-        boxes = unknown_boxes(scene, robot, start, depth)
-        scene = scene.model_copy(update={"clutter": (*scene.clutter, *boxes)})
+        scene = scene.with_space(unknown_boxes(scene, robot, start, depth))
     doublings = math.ceil(math.log2(max(scene.count / _SLOTS, 1.0)))  # empty models of many sizes would take long
     return compile_scene(scene, robot, min(_SLOTS << doublings, MAX_CAPACITY))
 

@@ -224,7 +224,16 @@ class CameraRig:
         rays, lengths = self._rays[camera], self._lengths[camera]
         directions = (rays / lengths[:, None]) @ view[:3, :3].T
         reach = COLOR_RANGE if self._renders_color else MAX_RANGE * float(lengths.max())
-        hits = caster.cast(model, joints, view[:3, 3].copy(), directions, reach, self._renders_color, plants)
+        hits = caster.cast(
+            model,
+            joints,
+            view[:3, 3].copy(),
+            directions,
+            reach,
+            self._renders_color,
+            plants,
+            self.cameras[camera].width,
+        )
         return hits, directions
 
     def _depth(self, hits: Hits, camera: int) -> Array:

@@ -19,6 +19,9 @@ Ids = npt.NDArray[np.int32]
 
 _SPHERE, _CAPSULE = int(mujoco.mjtGeom.mjGEOM_SPHERE), int(mujoco.mjtGeom.mjGEOM_CAPSULE)
 _ELLIPSOID = int(mujoco.mjtGeom.mjGEOM_ELLIPSOID)
+BUNDLE = 16
+"""Rays that pass through the tree together."""
+
 _STACK = 128  # deeper than any tree with a median split
 _TINY = 1e-15  # MuJoCo's mjMINVAL
 _SLACK = 1e-9  # metres, by which boxes of the tree are enlarged against rounding
@@ -116,9 +119,8 @@ def _to_box(p, d, size):
 
 
 @inlined
-def _to_geom(kind, size, position, quat, origin, direction):
-    """Return the distance along a ray to a geom, or -1, and the part of the geom."""
-    offset = minus(origin, position)
+def _to_geom(kind, size, r, offset, direction):
+    """Return the distance along a ray to a geom with a rotation, or -1, and the part of the geom."""
     if kind == _SPHERE:
         return _to_sphere(offset, direction, size[0] * size[0]), 0
     if kind != _ELLIPSOID:
@@ -126,7 +128,6 @@ def _to_geom(kind, size, position, quat, origin, direction):
         squared = reach * reach if kind == _CAPSULE else dot(size, size)
         if _to_sphere(offset, direction, squared) < 0.0:
             return -1.0, 0
-    r = _rotation(quat)
     p, d = _turned_back(r, offset), _turned_back(r, direction)
     if kind == _CAPSULE:
         return _to_capsule(p, d, size)
@@ -191,18 +192,43 @@ def _entry(box, origin, inverse, limit):
 
 
 @inlined
+def _entry_of_bundle(box, origin, bundle, limit):
+    """Return a lower bound of `_entry` for a bundle of rays, or -1 if it misses the box.
+
+    The bundle is the smallest and the largest component of the directions along each axis, and their inverses.
+    """
+    low, high = 0.0, limit
+    for i in range(3):
+        near, far = box[i] - box[3 + i] - _SLACK - origin[i], box[i] + box[3 + i] + _SLACK - origin[i]
+        smallest, largest, of_smallest, of_largest = bundle[i, 0], bundle[i, 1], bundle[i, 2], bundle[i, 3]
+        if (near > 0.0 and largest <= 0.0) or (far < 0.0 and smallest >= 0.0):
+            return -1.0
+        if near > 0.0:
+            low = max(low, near * of_largest)
+        elif far < 0.0:
+            low = max(low, far * of_smallest)
+        if smallest > 0.0:
+            high = min(high, far * of_smallest)
+        elif largest < 0.0:
+            high = min(high, near * of_largest)
+    return low if low <= high * (1.0 + 1e-12) else -1.0
+
+
+@inlined
 def _inverse(x):
     return 1.0 / (math.copysign(1e-12, x) if abs(x) < 1e-12 else x)
 
 
 @kernel(
-    "void(f8[::1], f8[:, ::1], f8, i8, i8, Tuple((i4[::1], f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[::1], f4[:, ::1])), "
+    "void(f8[::1], f8[:, ::1], i8[::1], f8, i8, i8, "
+    "Tuple((i4[::1], f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[::1], f4[:, ::1])), "
     "Tuple((i4[:, ::1], i4[::1], f8[:, ::1])), f8[::1], i8[::1], f8[:, ::1])",
     writes=("distance", "hit", "normal"),
 )
 def nearer_hits(
     origin: Array,
     directions: Array,
+    order: npt.NDArray[np.int64],
     reach: float,
     first: int,
     last: int,
@@ -217,6 +243,7 @@ def nearer_hits(
     Args:
         origin: (3,) origin of the rays, metres.
         directions: (m, 3) unit vectors.
+        order: (m,) all rays, in an order in which `BUNDLE` successive ones are close to each other.
         reach: Geoms whose bounding spheres begin farther away are left out, metres.
         first: Id of the first geom that may be hit.
         last: Id after the last one. Invisible ones are left out.
@@ -230,15 +257,25 @@ def nearer_hits(
     kinds, sizes, positions, quats, radii, colors = geoms
     child, node, boxes = tree
     stack, entries = np.empty(_STACK, np.int64), np.empty(_STACK)
+    bundle, inverses = np.empty((3, 4)), np.empty((BUNDLE, 3))
+    best, found, part = np.empty(BUNDLE), np.empty(BUNDLE, np.int64), np.empty(BUNDLE, np.int64)
     widest = 0.0
     for g in range(first, last):
         widest = max(widest, radii[g])
     o = (origin[0], origin[1], origin[2])
-    for m in range(len(directions)):
-        d = (directions[m, 0], directions[m, 1], directions[m, 2])
-        inverse = (_inverse(d[0]), _inverse(d[1]), _inverse(d[2]))
-        best, found, part = distance[m] if distance[m] >= 0.0 else np.inf, -1, 0
-        limit = min(best, reach + 2.0 * widest)
+    for start in range(0, len(order), BUNDLE):
+        count, limit = min(BUNDLE, len(order) - start), 0.0
+        for k in range(count):
+            m = order[start + k]
+            best[k], found[k], part[k] = distance[m] if distance[m] >= 0.0 else np.inf, -1, 0
+            limit = max(limit, min(best[k], reach + 2.0 * widest))
+            for i in range(3):
+                x = directions[m, i]
+                inverses[k, i] = _inverse(x)
+                bundle[i, 0] = x if k == 0 else min(bundle[i, 0], x)
+                bundle[i, 1] = x if k == 0 else max(bundle[i, 1], x)
+        for i in range(3):
+            bundle[i, 2], bundle[i, 3] = _inverse(bundle[i, 0]), _inverse(bundle[i, 1])
         stack[0], entries[0] = 0, 0.0
         size = 1
         while size > 0:
@@ -249,7 +286,7 @@ def nearer_hits(
             g = node[n]
             if g < 0:
                 a, b = child[n, 0], child[n, 1]
-                at_a, at_b = _entry(boxes[a], o, inverse, limit), _entry(boxes[b], o, inverse, limit)
+                at_a, at_b = _entry_of_bundle(boxes[a], o, bundle, limit), _entry_of_bundle(boxes[b], o, bundle, limit)
                 if at_a > at_b:
                     a, b, at_a, at_b = b, a, at_b, at_a
                 if at_b >= 0.0:  # the farther one, to be visited later
@@ -260,13 +297,25 @@ def nearer_hits(
                     size += 1
             elif first <= g < last and colors[g, 3] != 0.0:
                 at, away, extents, quat = _geom(g, sizes, positions, quats, o)
-                x, where = _to_geom(kinds[g], extents, at, quat, o, d)
-                nearer = 0.0 <= x < best or (x == best and g < found)
-                if nearer and dot(away, away) <= (reach + radii[g]) ** 2:
-                    best, found, part = x, g, where
-                    limit = min(limit, best)
-        if found >= 0:
-            distance[m], hit[m] = best, found
-            if len(normal):
-                at, _, extents, quat = _geom(found, sizes, positions, quats, o)
-                normal[m, 0], normal[m, 1], normal[m, 2] = _normal(kinds[found], extents, at, quat, o, d, best, part)
+                if dot(away, away) > (reach + radii[g]) ** 2:
+                    continue
+                rotation, offset, limit = _rotation(quat), minus(o, at), 0.0
+                for k in range(count):
+                    m = order[start + k]
+                    inverse = (inverses[k, 0], inverses[k, 1], inverses[k, 2])
+                    if _entry(boxes[n], o, inverse, min(best[k], reach + 2.0 * widest)) >= 0.0:
+                        d = (directions[m, 0], directions[m, 1], directions[m, 2])
+                        x, where = _to_geom(kinds[g], extents, rotation, offset, d)
+                        if 0.0 <= x < best[k] or (x == best[k] and g < found[k]):
+                            best[k], found[k], part[k] = x, g, where
+                    limit = max(limit, min(best[k], reach + 2.0 * widest))
+        for k in range(count):
+            g, m = found[k], order[start + k]
+            if g >= 0:
+                distance[m], hit[m] = best[k], g
+                if len(normal):
+                    d = (directions[m, 0], directions[m, 1], directions[m, 2])
+                    at, _, extents, quat = _geom(g, sizes, positions, quats, o)
+                    normal[m, 0], normal[m, 1], normal[m, 2] = _normal(
+                        kinds[g], extents, at, quat, o, d, best[k], part[k]
+                    )

@@ -7,6 +7,7 @@ whole model, to the last bit. Plants that move are cast through a tree over wher
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import mujoco
@@ -17,6 +18,8 @@ from greenhouse_gym.geometry import Array
 from greenhouse_gym.scene import CompiledScene, compile_scene
 from greenhouse_gym.scene.geom_order import first_world_geom
 from greenhouse_gym.scene.obstacles import Surroundings
+
+_TILE = 4  # pixels: side of a tile
 
 _BODY_FIELDS = ("body_pos", "body_quat", "body_sameframe")
 _GEOM_FIELDS = (
@@ -66,6 +69,7 @@ class RayCaster:
         reach: float,
         surfaces: bool = False,
         plants: mujoco.MjData | None = None,
+        width: int = 1,
     ) -> Hits:
         """Return the first hits of m rays.
 
@@ -77,6 +81,7 @@ class RayCaster:
             reach: Maximum distance of a hit, metres.
             surfaces: Return colors and normals as well.
             plants: State of the model, if it has bodies besides the arm.
+            width: Width of the image whose rows the rays are, pixels.
         """
         from greenhouse_gym.rendering.ray_kernels import nearer_hits
 
@@ -88,7 +93,8 @@ class RayCaster:
             model.geom_type, model.geom_size, model.geom_pos, model.geom_quat, model.geom_rbound, model.geom_rgba,
         )  # fmt: skip
         tree = model.bvh_child, model.bvh_nodeid, model.bvh_aabb
-        nearer_hits(origin, directions, reach, first, last, geoms, tree, distance, obstacle, normal)
+        order = _in_tiles(len(directions) // width, width)
+        nearer_hits(origin, directions, order, reach, first, last, geoms, tree, distance, obstacle, normal)
         # the arm's view has one slot
         geom = np.where(geom > self._slots.start, geom + self._slots.stop - self._slots.start - 1, geom)
         geom = np.where(obstacle >= 0, obstacle - world, geom)
@@ -98,18 +104,8 @@ class RayCaster:
             if len(shown):
                 plant = np.full(len(directions), -1)
                 moving = _geoms_of(model, plants, shown)
-                nearer_hits(
-                    origin,
-                    directions,
-                    reach,
-                    0,
-                    len(shown),
-                    moving,
-                    _tree(model, shown, moving),
-                    distance,
-                    plant,
-                    normal,
-                )
+                tree = _tree(model, shown, moving)
+                nearer_hits(origin, directions, order, reach, 0, len(shown), moving, tree, distance, plant, normal)
                 geom = np.where(plant >= 0, (shown[plant] - world) % model.ngeom, geom)
         rgba = model.geom_rgba[(geom[: len(normal)] + world) % model.ngeom]
         return Hits(distance, geom, rgba, normal)
@@ -133,6 +129,13 @@ class RayCaster:
             normal.reshape(-1) if surfaces else None, count, reach,
         )  # fmt: skip
         return distance, geom.astype(np.int64), normal
+
+
+@lru_cache(maxsize=16)
+def _in_tiles(height: int, width: int) -> npt.NDArray[np.int64]:
+    """Return the indices of an image's pixels, tile by tile: neighbors meet the same shapes."""
+    row, column = (each.reshape(-1) for each in np.indices((height, width)))
+    return np.lexsort((column, row, column // _TILE, row // _TILE))
 
 
 def _geoms_of(model: mujoco.MjModel, data: mujoco.MjData, ids: npt.NDArray[np.int64]) -> tuple[Any, ...]:

@@ -16,6 +16,7 @@ from functools import lru_cache
 import mujoco
 import numpy as np
 
+from greenhouse_gym.crops.parts import STEM_KINDS
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.robots import Robot, get_robot
 from greenhouse_gym.robots.robot import CUP_GEOM, TIP_SITE, slides
@@ -37,6 +38,7 @@ YIELDING = 1.0
 
 TIMESTEP = 0.01
 _PARKED = (0.0, 0.0, -50.0)
+_CHUNK = 200  # slots added at a time
 _STEM_COLORS = {
     "main": (0.33, 0.48, 0.2, 1.0),
     "peduncle": (0.4, 0.6, 0.25, 1.0),
@@ -83,11 +85,12 @@ class CompiledScene:
         slot = geom - self.obstacle_geoms.start
         if not 0 <= slot < self.scene.count:
             return name_of(self.model, geom)
-        tomatoes, stems = len(self.scene.tomatoes), len(self.scene.stems)
+        columns = self.scene.columns
+        tomatoes, stems, _ = columns.counts
         if slot < tomatoes:
             return f"tomato_{slot}"
         slot -= tomatoes
-        return f"stem_{slot}_{self.scene.stems[slot].kind}" if slot < stems else f"clutter_{slot - stems}"
+        return f"stem_{slot}_{columns.stem_kinds[slot]}" if slot < stems else f"clutter_{slot - stems}"
 
     def allow_cup_on(self, model: mujoco.MjModel, tomato: int, allowed: bool = True) -> None:
         """Let the cup touch a tomato in ``model``, a copy of this one with its geoms in either order, or forbid it."""
@@ -120,10 +123,10 @@ def scene_spec(
     Raises:
         InvalidValueError: ``capacity`` is out of range or too small for the scene, or there is no tomato ``target``.
     """
-    if target is not None and not 0 <= target < len(scene.tomatoes):
-        raise InvalidValueError(
-            f"scene {scene.name!r} has tomatoes 0 to {len(scene.tomatoes) - 1}, there is no {target}"
-        )
+    columns = scene.columns
+    tomatoes, _, clutter = columns.counts
+    if target is not None and not 0 <= target < tomatoes:
+        raise InvalidValueError(f"scene {scene.name!r} has tomatoes 0 to {tomatoes - 1}, there is no {target}")
     if capacity is not None and not (isinstance(capacity, int | np.integer) and 1 <= capacity <= MAX_CAPACITY):
         raise InvalidValueError(f"capacity must be a whole number from 1 to {MAX_CAPACITY}, got {capacity!r}")
     arm = None if robot is None else get_robot(robot)
@@ -140,9 +143,9 @@ def scene_spec(
     )  # fmt: skip
     if arm is not None:
         _place_arm(spec, scene, arm)
-    names = [f"tomato_{i}" for i in range(len(scene.tomatoes))]
-    names += [f"stem_{i}_{stem.kind}" for i, stem in enumerate(scene.stems)]
-    names += [f"clutter_{i}" for i in range(len(scene.clutter))]
+    names = [f"tomato_{i}" for i in range(tomatoes)]
+    names += [f"stem_{i}_{kind}" for i, kind in enumerate(columns.stem_kinds)]
+    names += [f"clutter_{i}" for i in range(clutter)]
     for name, kind, pos, size, quat, color in zip(names, *geoms_of(scene.arrays), colors_of(scene), strict=True):
         world.add_geom(
             name=name, type=TYPES[kind], pos=pos, size=size, quat=quat, rgba=color,
@@ -152,12 +155,23 @@ def scene_spec(
         reached = spec.geom(names[target])
         reached.contype = reached.conaffinity = ARM_ONLY
     if capacity is not None:
-        parked = spec.add_default("parked obstacles", spec.default)
-        parked.geom.type, parked.geom.size, parked.geom.pos = mujoco.mjtGeom.mjGEOM_SPHERE, [0.001, 0, 0], _PARKED
-        parked.geom.rgba, parked.geom.contype, parked.geom.conaffinity = [0, 0, 0, 0], ARM_AND_CUP, ARM_AND_CUP
-        for i in range(len(names), capacity):
-            world.add_geom(parked, name=f"obstacle_{i}")
+        _add_slots(spec, capacity - len(names))
     return spec
+
+
+def _add_slots(spec: mujoco.MjSpec, count: int) -> None:
+    """Add parked geoms to the world; one by one, each would take MuJoCo longer than the one before."""
+    spec.copy_during_attach = True
+    for size, copies in ((_CHUNK, count // _CHUNK), (count % _CHUNK, 1)):
+        chunk = mujoco.MjSpec().worldbody
+        frame = chunk.add_frame()
+        for _ in range(size):
+            chunk.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.001, 0, 0], pos=_PARKED, rgba=[0, 0, 0, 0],
+                contype=ARM_AND_CUP, conaffinity=ARM_AND_CUP,
+            ).set_frame(frame)  # fmt: skip
+        for copied in range(copies if size else 0):
+            spec.worldbody.attach_frame(frame, f"slots_{size}_{copied}_", "")
 
 
 def compile_scene(
@@ -172,7 +186,7 @@ def compile_scene(
         scene: The scene.
         robot: As `scene_spec`.
         capacity: Number of obstacle slots; unused ones are parked geoms, so models of several scenes have equal sizes.
-            The geoms of all slots are named ``obstacle_0`` and so on; see `CompiledScene.geom_name`.
+            The geoms of slots have no names; see `CompiledScene.geom_name`.
         edit: Callback that changes the specification before it is compiled.
 
     Raises:
@@ -285,15 +299,13 @@ def _base_rotation(robot: Robot) -> np.ndarray[tuple[int], np.dtype[np.float64]]
     return np.array(robot.spec().worldbody.first_body().quat)
 
 
-def colors_of(scene: Shapes) -> list[tuple[float, float, float, float]]:
-    """Return the colors of all shapes of a scene, in their order."""
-    colors = [_tomato_color(tomato.ripeness) for tomato in scene.tomatoes]
-    return colors + [_STEM_COLORS[stem.kind] for stem in scene.stems] + [_CLUTTER_COLOR] * len(scene.clutter)
-
-
-def _tomato_color(ripeness: float | None) -> tuple[float, float, float, float]:
-    r = 1.0 if ripeness is None else ripeness
-    return (0.45 + 0.4 * r, 0.6 - 0.47 * r, 0.2 - 0.1 * r, 1.0)
+def colors_of(scene: Shapes) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
+    """Return the colors (n, 4) of all shapes of a scene, in their order."""
+    columns = scene.columns
+    r = np.where(np.isnan(columns.ripeness), 1.0, columns.ripeness)
+    fruit = np.column_stack([0.45 + 0.4 * r, 0.6 - 0.47 * r, 0.2 - 0.1 * r, np.ones(len(r))])
+    stems = np.array([_STEM_COLORS[kind] for kind in STEM_KINDS])[columns.kinds]
+    return np.concatenate([fruit, stems, np.tile(_CLUTTER_COLOR, (len(columns.space), 1))])
 
 
 def name_of(model: mujoco.MjModel, geom: int) -> str:

@@ -6,7 +6,6 @@ The arrays of the model become those that MuJoCo's compiler makes of the same ob
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import mujoco
 import numpy as np
@@ -27,7 +26,7 @@ _EQUAL = 1e-6  # difference below which the compiler takes frames as equal
 _NO_ROTATION = np.array([1.0, 0.0, 0.0, 0.0])
 
 
-def fill_slots(model: mujoco.MjModel, first: int, shapes: ShapeArrays, colors: Sequence[Sequence[float]]) -> None:
+def fill_slots(model: mujoco.MjModel, first: int, shapes: ShapeArrays, colors: Array) -> None:
     """Turn geoms of the world body into shapes.
 
     Args:
@@ -40,7 +39,7 @@ def fill_slots(model: mujoco.MjModel, first: int, shapes: ShapeArrays, colors: S
     build_tree(model)
 
 
-def write_geoms(model: mujoco.MjModel, slots: slice, shapes: ShapeArrays, colors: Sequence[Sequence[float]]) -> None:
+def write_geoms(model: mujoco.MjModel, slots: slice, shapes: ShapeArrays, colors: Array) -> None:
     """Turn geoms into shapes, given in the frame of their body; `build_tree` has to follow.
 
     Args:
@@ -57,7 +56,7 @@ def write_geoms(model: mujoco.MjModel, slots: slice, shapes: ShapeArrays, colors
     boxes[capsule, 5] += sizes[capsule, 1]
     x, y, z = boxes[:, 3:].T
     model.geom_type[slots], model.geom_pos[slots], model.geom_size[slots] = TYPES[kinds], positions, sizes
-    model.geom_quat[slots], model.geom_aabb[slots], model.geom_rgba[slots] = quats, boxes, np.reshape(colors, (-1, 4))
+    model.geom_quat[slots], model.geom_aabb[slots], model.geom_rgba[slots] = quats, boxes, colors
     model.geom_rbound[slots] = np.where(kinds == BOX, np.sqrt(x * x + y * y + z * z), boxes[:, 3:].max(axis=1))
     rotated = np.minimum(np.abs(quats - _NO_ROTATION).max(axis=1), np.abs(quats + _NO_ROTATION).max(axis=1)) >= _EQUAL
     shifted = (np.abs(positions) >= _EQUAL).any(axis=1)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from functools import cached_property
 from typing import Annotated, Any, Literal, Self
 
@@ -15,17 +15,20 @@ from pydantic import (
     ConfigDict,
     Field,
     PlainSerializer,
+    SerializerFunctionWrapHandler,
     ValidationInfo,
     ValidatorFunctionWrapHandler,
     WrapValidator,
+    model_serializer,
     model_validator,
 )
 
 from greenhouse_gym.common.files import checked_name, parsing
-from greenhouse_gym.crops.parts import Stem, Tomato, is_leaf
-from greenhouse_gym.crops.shape_tables import arrays_of_tables, from_tables
+from greenhouse_gym.crops.parts import Stem, Tomato
+from greenhouse_gym.crops.shape_columns import ShapeColumns, joined
+from greenhouse_gym.crops.shape_tables import columns_of_tables
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.geometry import Box, Capsule, Shape, ShapeArrays, Sphere, Vector, arrays_of
+from greenhouse_gym.geometry import Box, Capsule, Shape, ShapeArrays, Sphere, Vector
 from greenhouse_gym.scene.shape_lists import in_bulk, pack, read_clutter, read_stems, read_tomatoes, unpack
 
 SceneName = Annotated[str, AfterValidator(lambda name: checked_name("a scene", name))]
@@ -80,8 +83,14 @@ class ArmPlacement(Part):
         return self
 
 
+_PARTS = ("tomatoes", "stems", "clutter")
+
+
 class Shapes(Part):
-    """Tomatoes, stems and clutter around an arm, in the scene frame."""
+    """Tomatoes, stems and clutter around an arm, in the scene frame.
+
+    Those of files are arrays (`columns`); the objects are made when they are first used.
+    """
 
     model_config = ConfigDict(ignored_types=(cached_property,))
 
@@ -95,8 +104,30 @@ class Shapes(Part):
 
     @model_validator(mode="after")
     def _within_bounds(self) -> Self:
+        fields = vars(self)
+        if any(isinstance(fields[name], ShapeColumns) for name in _PARTS):
+            parts = ((name, fields.pop(name)) for name in _PARTS)
+            fields["columns"] = joined(
+                *(part if isinstance(part, ShapeColumns) else ShapeColumns.of(**{name: part}) for name, part in parts)
+            )
         self.check_bounds()
         return self
+
+    @model_serializer(mode="wrap")
+    def _whole(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Write all fields in their order."""
+        whole = super().model_copy()
+        fields = {name: getattr(self, name) for name in type(self).model_fields}
+        vars(whole).clear()
+        vars(whole).update(fields)
+        written: dict[str, Any] = write(whole)
+        return written
+
+    def __getattr__(self, name: str) -> Any:  # of parts whose objects were not made yet
+        if name not in _PARTS:
+            return super().__getattr__(name)  # type: ignore[misc]
+        made = vars(self)[name] = getattr(self.columns, name)()
+        return made
 
     def check_bounds(self) -> None:
         """Check that no shape is too large or too far away.
@@ -108,29 +139,46 @@ class Shapes(Part):
         outside = np.flatnonzero((np.abs(numbers) > MAX_SIZE).any(axis=1))
         if len(outside):
             index, shape = int(outside[0]), self.obstacles[outside[0]]
-            for name in ("tomatoes", "stems", "clutter"):
-                if index < (count := len(getattr(self, name))):
+            for name, count in zip(_PARTS, self.counts, strict=True):
+                if index < count:
                     raise InvalidValueError(f"{name}.{index} is larger, or farther away, than {MAX_SIZE:g} m: {shape}")
                 index -= count
 
     @cached_property
+    def columns(self) -> ShapeColumns:
+        """All shapes as arrays; do not change them."""
+        return ShapeColumns.of(self.tomatoes, self.stems, self.clutter)
+
+    @property
     def arrays(self) -> ShapeArrays:
         """`obstacles` as arrays; do not change them."""
-        return arrays_of(self.obstacles)
+        return self.columns.arrays
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
         """Copy the model with some fields changed, which are not validated."""
-        copied = super().model_copy(update=update, deep=deep)
-        if not {"tomatoes", "stems", "clutter"}.isdisjoint(update or ()):
-            for name in ("arrays", "leaves"):
-                vars(copied).pop(name, None)
+        if set(_PARTS).isdisjoint(update or ()):
+            return super().model_copy(update=update, deep=deep)
+        parts = {name: getattr(self, name) for name in _PARTS}
+        copied = super().model_copy(update={**parts, **(update or {})}, deep=deep)
+        vars(copied).pop("columns", None)
         return copied
 
-    @cached_property
+    def with_columns(self, columns: ShapeColumns, changed: Collection[str] = _PARTS) -> Self:
+        """Copy the model with other shapes; ``changed`` names the parts that differ."""
+        copied = super().model_copy()
+        for name in changed:
+            vars(copied).pop(name, None)
+        vars(copied)["columns"] = columns
+        return copied
+
+    def with_space(self, boxes: ShapeArrays) -> Self:
+        """Copy the model with more boxes of clutter, as `SpaceBox`."""
+        return self.with_columns(self.columns.with_space(boxes), changed=("clutter",))
+
+    @property
     def leaves(self) -> npt.NDArray[np.int64]:
         """(k,) indices into `obstacles` of the pieces of leaves; see `greenhouse_gym.crops.parts.is_leaf`."""
-        first = len(self.tomatoes) + len(self.stems)
-        return np.array([first + k for k, shape in enumerate(self.clutter) if is_leaf(shape)], dtype=np.int64)
+        return self.columns.leaves
 
     @property
     def obstacles(self) -> tuple[Shape, ...]:
@@ -138,9 +186,14 @@ class Shapes(Part):
         return (*(tomato.shape for tomato in self.tomatoes), *self.stems, *self.clutter)
 
     @property
+    def counts(self) -> tuple[int, int, int]:
+        """Numbers of tomatoes, stems and pieces of clutter."""
+        return self.columns.counts
+
+    @property
     def count(self) -> int:
         """Number of shapes."""
-        return len(self.tomatoes) + len(self.stems) + len(self.clutter)
+        return sum(self.counts)
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({', '.join(self._summary())})"
@@ -149,8 +202,8 @@ class Shapes(Part):
 
     def _summary(self) -> list[str]:
         """Return the parts of its text."""
-        parts = {"tomatoes": self.tomatoes, "stems": self.stems, "pieces of clutter": self.clutter}
-        return [f"{len(shapes)} {name}" for name, shapes in parts.items()]
+        names = ("tomatoes", "stems", "pieces of clutter")
+        return [f"{count} {name}" for name, count in zip(names, self.counts, strict=True)]
 
     def compact(self) -> Shapes:
         """Return the shapes as a scene file stores its truth: rounded to 0.1 mm, clutter sorted by type."""
@@ -172,19 +225,11 @@ class DeferredShapes(Shapes):
         vars(deferred).update(_packed=packed, _path=path)
         return deferred
 
-    def __getattr__(self, name: str) -> Any:  # of fields that are not set yet
-        if name not in Shapes.model_fields or "_packed" not in vars(self):
-            return super().__getattr__(name)  # type: ignore[misc]
-        with parsing(vars(self)["_path"], "scene"):
-            vars(self).update(vars(_unpacked(vars(self)["_packed"])))
-        return vars(self)[name]
-
     @cached_property
-    def arrays(self) -> ShapeArrays:
-        """See `Shapes.arrays`."""
-        _ = self.tomatoes  # unpacks everything
-        arrays: ShapeArrays = vars(self)["arrays"]
-        return arrays
+    def columns(self) -> ShapeColumns:
+        """See `Shapes.columns`."""
+        with parsing(vars(self)["_path"], "scene"):
+            return _unpacked(vars(self)["_packed"]).columns
 
 
 def _packed(shapes: Shapes) -> dict[str, Any]:
@@ -193,12 +238,11 @@ def _packed(shapes: Shapes) -> dict[str, Any]:
 
 
 def _unpacked(packed: dict[str, Any]) -> Shapes:
-    tables = unpack(packed)
-    parts = from_tables(tables)
-    if len(parts.tomatoes) > MAX_TOMATOES or max(len(parts.stems), len(parts.clutter)) > MAX_SHAPES:
+    columns = columns_of_tables(unpack(packed))
+    tomatoes, stems, clutter = columns.counts
+    if tomatoes > MAX_TOMATOES or max(stems, clutter) > MAX_SHAPES:
         raise InvalidValueError(f"more than {MAX_TOMATOES} tomatoes, or {MAX_SHAPES} stems or pieces of clutter")
-    shapes = Shapes.model_construct(**parts._asdict())
-    vars(shapes)["arrays"] = arrays_of_tables(tables)
+    shapes = Shapes().with_columns(columns)
     shapes.check_bounds()
     return shapes
 

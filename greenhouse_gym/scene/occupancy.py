@@ -11,9 +11,8 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, model_validator
 
 from greenhouse_gym.common.array_files import compress, decompress
-from greenhouse_gym.crops.parts import SpaceBox
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.geometry import Array, Vector, unchecked
+from greenhouse_gym.geometry import Array, ShapeArrays, Vector
 
 UNKNOWN, FREE, OCCUPIED = 0, 1, 2
 """States of a voxel."""
@@ -117,7 +116,7 @@ def require_occupancy(grid: OccupancyGrid | None, scene: str, user: str, instead
     return grid
 
 
-def boxes_covering(cells: Cells, origin: npt.ArrayLike, voxel: float, optional: Cells | None = None) -> list[SpaceBox]:
+def boxes_covering(cells: Cells, origin: npt.ArrayLike, voxel: float, optional: Cells | None = None) -> ShapeArrays:
     """Cover the marked cells (x, y, z) of a grid by few boxes that do not overlap.
 
     Runs of cells along y are joined with equal neighbors along z, and then along x.
@@ -138,11 +137,11 @@ def boxes_covering(cells: Cells, origin: npt.ArrayLike, voxel: float, optional: 
     return _boxes_of_blocks(runs, (2, 0), origin, voxel)
 
 
-def boxes_around_points(points: npt.ArrayLike, voxel: float) -> list[SpaceBox]:
+def boxes_around_points(points: npt.ArrayLike, voxel: float) -> ShapeArrays:
     """Cover the voxels (sides in metres) that contain points (n, 3) by few boxes that do not overlap."""
     p = np.asarray(points, dtype=np.float64).reshape(-1, 3)
     if not len(p):
-        return []
+        return ShapeArrays.empty(0)
     origin = p.min(axis=0)
     cells = np.unique(((p - origin) / voxel).astype(np.int64), axis=0)
     blocks = np.stack([cells, cells + 1], axis=-1).reshape(-1, 6)
@@ -151,17 +150,13 @@ def boxes_around_points(points: npt.ArrayLike, voxel: float) -> list[SpaceBox]:
 
 def _boxes_of_blocks(
     blocks: npt.NDArray[np.int64], axes: Sequence[int], origin: npt.ArrayLike, voxel: float
-) -> list[SpaceBox]:
+) -> ShapeArrays:
     """Return the boxes of blocks (n, 6) of cells after joining them along one axis after the other."""
     for axis in axes:
         blocks = _joined(blocks, axis)
     low, high = blocks[:, ::2], blocks[:, 1::2]
-    centers = np.asarray(origin, dtype=np.float64) + (low + high) * (voxel / 2)
-    halves, rotation = (high - low) * (voxel / 2), np.eye(3)
-    for array in (centers, halves, rotation):
-        array.setflags(write=False)
-    rows = ((center, half, rotation) for center, half in zip(centers, halves, strict=True))
-    return unchecked(SpaceBox, ("center", "half_extents", "rotation"), rows)
+    centers, halves = np.asarray(origin, dtype=np.float64) + (low + high) * (voxel / 2), (high - low) * (voxel / 2)
+    return ShapeArrays.of_boxes(np.asarray(centers, dtype=np.float64), np.asarray(halves, dtype=np.float64))
 
 
 def _joined(blocks: npt.NDArray[np.int64], axis: int) -> npt.NDArray[np.int64]:

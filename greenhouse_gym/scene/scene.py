@@ -107,8 +107,8 @@ class Scene(Surroundings):
     @model_validator(mode="after")
     def _targets_exist(self) -> Scene:
         for target in self.targets:
-            if target.tomato >= len(self.tomatoes):
-                raise InvalidValueError(f"target names tomato {target.tomato}, the scene has {len(self.tomatoes)}")
+            if target.tomato >= self.counts[0]:
+                raise InvalidValueError(f"target names tomato {target.tomato}, the scene has {self.counts[0]}")
         return self
 
     def _summary(self) -> list[str]:

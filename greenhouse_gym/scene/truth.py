@@ -16,15 +16,13 @@ def true_scene(scene: Scene) -> Scene:
     Raises:
         InvalidValueError: The scene carries no truth.
     """
-    if scene.truth is None or not scene.truth.tomatoes:
+    if scene.truth is None or not scene.truth.counts[0]:
         raise InvalidValueError(
             f'scene {scene.name!r} carries no truth, which physics="truth" needs: scenes built from simulated '
             "recordings carry it, those of a real row cannot"
         )
-    shapes = {name: getattr(scene.truth, name) for name in ("tomatoes", "stems", "clutter")}
-    true = scene.model_copy(update={**shapes, "targets": (), "truth": None, "occupancy": None})
-    vars(true)["arrays"] = scene.truth.arrays
-    return true
+    bare = scene.model_copy(update={"targets": (), "truth": None, "occupancy": None})
+    return bare.with_columns(scene.truth.columns)
 
 
 def known_scene(scene: Scene) -> Scene:
@@ -34,15 +32,8 @@ def known_scene(scene: Scene) -> Scene:
     grown again, are left out.
     """
     provenance = scene.provenance
-    return Scene(
-        name="scene",
-        tomatoes=scene.tomatoes,
-        stems=scene.stems,
-        clutter=scene.clutter,
-        placement=scene.placement,
-        provenance=Provenance(row="", protocol=provenance.protocol, settings=provenance.settings),
-        occupancy=scene.occupancy,
-    )
+    known = Provenance(row="", protocol=provenance.protocol, settings=provenance.settings)
+    return scene.model_copy(update={"name": "scene", "targets": (), "truth": None, "provenance": known})
 
 
 def without_plants(scene: Scene) -> Scene:
@@ -60,7 +51,7 @@ def start_is_collision_free(scene: Scene, robot: str | Robot) -> bool:
         scene: A scene; the result is True if it carries no truth.
         robot: The arm.
     """
-    if scene.truth is None or not scene.truth.tomatoes:
+    if scene.truth is None or not scene.truth.counts[0]:
         return True
     compiled = compile_scene(true_scene(scene), robot)
     data = mujoco.MjData(compiled.model)

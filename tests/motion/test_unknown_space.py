@@ -8,7 +8,7 @@ from conftest import with_ellipsoids
 from occupancy_helpers import known_where
 
 from greenhouse_gym.errors import InvalidValueError, UnknownNameError
-from greenhouse_gym.geometry import distance_to_shapes
+from greenhouse_gym.geometry import distance_to_shapes, shapes_from
 from greenhouse_gym.motion.collision import CollisionChecker, planning_model
 from greenhouse_gym.motion.unknown_space import DEPTHS, depths_of, guarded, unknown_boxes, unknown_length
 from greenhouse_gym.planning import PlanResult, goal_configurations, plan, query
@@ -23,7 +23,7 @@ TARGET = 4
 def test_where_all_was_seen_nothing_changes(scene: Scene) -> None:
     whole = known_where(scene, None)
     usual = plan(scene, TARGET, time_limit=30.0, max_checks=20_000)
-    assert unknown_boxes(whole, ARM, ARM.start) == []
+    assert len(unknown_boxes(whole, ARM, ARM.start).kinds) == 0
     for rule in ("avoid", "forbid"):
         result = plan(whole, TARGET, time_limit=30.0, max_checks=20_000, unknown=rule)
         assert result.unknown_length == 0.0
@@ -37,17 +37,17 @@ def test_the_arms_own_place_and_what_no_arm_reaches_do_not_count(scene: Scene) -
     nothing = known_where(scene, 0.0)
     compiled = guarded(nothing, ARM, ARM.start)
     assert CollisionChecker(planning_model(compiled, TARGET)).is_free(ARM.start)
-    boxes = unknown_boxes(nothing, ARM, ARM.start)
+    boxes = shapes_from(unknown_boxes(nothing, ARM, ARM.start))
     shoulder = np.array([0.0, 0.0, 1.1])
     assert distance_to_shapes(shoulder[None], boxes).max() < REACH
     deep = unknown_boxes(known_where(scene, 1.2), ARM, ARM.start, depth=0.2)
-    assert min(box.center[2] - box.half_extents[2] for box in deep) > 1.35
+    assert (deep.starts - deep.sizes)[:, 2].min() > 1.35
 
 
 def test_the_inside_of_tomatoes_is_known(scene: Scene) -> None:
     for known in (scene, with_ellipsoids(scene, 1)):
         nothing = known_where(known, 0.0)
-        boxes = unknown_boxes(nothing, ARM, ARM.start)
+        boxes = shapes_from(unknown_boxes(nothing, ARM, ARM.start))
         cells = nothing.occupancy.centers.reshape(-1, 3)  # type: ignore[union-attr]
         inside = cells[distance_to_shapes(cells, [tomato.shape for tomato in known.tomatoes]).min(axis=1) < 0]
         assert len(inside) > 2

@@ -85,7 +85,9 @@ def test_hits_on_shapes_of_all_kinds_are_those_of_mujoco(reach: float) -> None:
             reach,
         )
         distance, hit, normal = np.full(count, -1.0), np.full(count, -1), np.zeros((count, 3))
-        nearer_hits(origin, directions, reach, 0, model.ngeom, geoms, tree, distance, hit, normal)
+        nearer_hits(
+            origin, directions, np.arange(len(directions)), reach, 0, model.ngeom, geoms, tree, distance, hit, normal
+        )
         np.testing.assert_array_equal(hit, geom)
         np.testing.assert_array_equal(distance, expected)
         np.testing.assert_array_equal(normal[hit >= 0], normals[hit >= 0])

@@ -10,7 +10,7 @@ from conftest import make_scene
 
 from greenhouse_gym.common.array_files import compress
 from greenhouse_gym.errors import FileFormatError, InvalidValueError
-from greenhouse_gym.geometry import distance_to_shapes
+from greenhouse_gym.geometry import distance_to_shapes, shapes_from
 from greenhouse_gym.scene import Scene
 from greenhouse_gym.scene.occupancy import FREE, OCCUPIED, UNKNOWN, OccupancyGrid, boxes_covering
 
@@ -74,7 +74,7 @@ def test_voxels_that_do_not_match_are_named(tmp_path: Path, change: dict[str, An
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.9, 1.0])
 def test_boxes_cover_the_marked_cells_and_no_others(share: float) -> None:
     cells = np.random.default_rng(1).random((6, 7, 8)) < share
-    boxes = boxes_covering(cells, [0.1, -0.2, 0.3], 0.05)
+    boxes = shapes_from(boxes_covering(cells, [0.1, -0.2, 0.3], 0.05))
     centers = np.array([0.1, -0.2, 0.3]) + (np.argwhere(np.ones_like(cells)) + 0.5) * 0.05
     inside = distance_to_shapes(centers, boxes).min(axis=1) < 0 if boxes else np.zeros(len(centers), dtype=bool)
     np.testing.assert_array_equal(inside, cells.reshape(-1))
@@ -87,13 +87,14 @@ def test_cells_that_do_not_matter_make_boxes_fewer() -> None:
     random = np.random.default_rng(2)
     cells, either_way = random.random((2, 6, 7, 8)) < [[[[0.3]]], [[[0.5]]]]
     either_way &= ~cells
-    boxes = boxes_covering(cells, np.zeros(3), 1.0, either_way)
+    boxes = shapes_from(boxes_covering(cells, np.zeros(3), 1.0, either_way))
     centers = np.argwhere(np.ones_like(cells)) + 0.5
     inside = (distance_to_shapes(centers, boxes).min(axis=1) < 0).reshape(cells.shape)
     assert inside[cells].all()
     assert not inside[~cells & ~either_way].any()
     ball = np.linalg.norm(np.argwhere(np.ones_like(cells)) - 3, axis=1).reshape(cells.shape) < 2.5
-    assert len(boxes_covering(ball, np.zeros(3), 1.0, ~ball)) < len(boxes_covering(ball, np.zeros(3), 1.0))
+    few, more = (boxes_covering(ball, np.zeros(3), 1.0, optional) for optional in (~ball, None))
+    assert len(few.kinds) < len(more.kinds)
 
 
 def test_spaces_of_nothing_are_refused() -> None:

@@ -161,7 +161,7 @@ class _Filler:
     def __init__(self, compiled: CompiledScene, mechanics: PlantMechanics):
         self._model, self._first = compiled.model, int(compiled.obstacle_geoms.start)
         self._arrays, self._mechanics = compiled.scene.arrays, mechanics
-        self._colors = np.array(colors_of(compiled.scene))
+        self._colors = colors_of(compiled.scene)
         model = self._model
         for body in range(1, model.nbody):  # empty slots touch nothing
             if model.body(body).name.startswith(("truss_", "fruit_", "leaf_", "loose_", "cut_")):
@@ -264,7 +264,7 @@ class _Filler:
         shapes = shapes._replace(starts=shapes.starts - origin, ends=shapes.ends - origin)
         first = int(model.body_geomadr[body])
         own = slice(first, first + len(shapes.kinds))
-        write_geoms(model, own, shapes, colors.tolist())
+        write_geoms(model, own, shapes, colors)
         model.geom_conaffinity[own] = ALL
         mass, center, inertia, quat = mass_properties(shapes, self._mechanics)
         model.body_mass[body], model.body_inertia[body] = mass, inertia
