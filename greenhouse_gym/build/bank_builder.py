@@ -14,7 +14,7 @@ from pydantic import TypeAdapter
 from greenhouse_gym.build.scans import ScannedRow
 from greenhouse_gym.build.scenes import BuildSettings, cut_scenes, occupancy_summary, provenance_of
 from greenhouse_gym.capture.recordings import Recording
-from greenhouse_gym.common.executors import completed, require_portable
+from greenhouse_gym.common.executors import completed, portable
 from greenhouse_gym.common.extras import require_extras
 from greenhouse_gym.common.files import checked_name, exclusive, parsing, read_bytes, write_atomically
 from greenhouse_gym.common.progress import say
@@ -92,7 +92,7 @@ def build_bank(
         for recording, week, facts in zip(recordings, weeks, known, strict=True)
     ]
     for recording in recordings:
-        require_portable(executor, f"recording {recording.name!r}", recording)
+        portable(executor, f"recording {recording.name!r}", recording)
     with exclusive(folder):
         scenes = _certified_scenes(folder, rows, report, executor)
         bank = write_bank(

@@ -96,5 +96,11 @@ def main() -> None:
     try:
         app()
     except GreenhouseError as error:
-        Console(stderr=True).print(f"[bold red]error:[/] {escape(str(error))}", highlight=False, soft_wrap=True)
-        sys.exit(1)
+        _fail(str(error))
+    except MemoryError as error:
+        _fail(f"there is not enough memory ({str(error) or type(error).__name__})")
+
+
+def _fail(message: str) -> None:
+    Console(stderr=True).print(f"[bold red]error:[/] {escape(message)}", highlight=False, soft_wrap=True)
+    sys.exit(1)

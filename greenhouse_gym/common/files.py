@@ -185,7 +185,9 @@ def parsing(path: object, kind: str) -> Iterator[None]:
         raise FileFormatError(path, f"not a valid {kind}: {first_fault(error)}") from error
     except MemoryError as error:
         raise FileFormatError(path, f"more memory than there is would be needed to read this {kind}") from error
-    except Exception as error:
+    except BaseException as error:
+        if not isinstance(error, Exception) and type(error).__name__ != "PanicException":  # of Rust's
+            raise
         what = str(error).splitlines()[0][:200] if str(error) else type(error).__name__
         raise FileFormatError(path, f"not a valid {kind}: {what}") from error
 

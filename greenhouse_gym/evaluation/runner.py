@@ -33,7 +33,7 @@ from greenhouse_gym.robots.kinematics import tool_chain, tool_state
 MAX_REPLACEMENTS = 3
 """Maximum number of timed-out agents that are replaced by a copy; each may keep a thread busy."""
 
-_GRACE = 10.0  # seconds beyond twice the time limit until a process that no longer answers is ended; or for a copy
+GRACE = 10.0  # seconds beyond twice the time limit until a process that no longer answers is ended; or for a copy
 
 
 class EpisodeResult(NamedTuple):
@@ -117,10 +117,10 @@ class EpisodeRunner:
         self._space = env.simulation.action_space
         self._shared = asked.acts_on_many
         self._memory = MemoryLimit(1 / max(1, workers))
-        self._copying = None if timeout is None else max(timeout, _GRACE)
+        self._copying = None if timeout is None else max(timeout, GRACE)
         self._limited = partial(Deadline, timeout, self._memory)
         if timeout is not None and workers:
-            self._limited = partial(self._limited, watchdog=Watchdog(2 * timeout + _GRACE))
+            self._limited = partial(self._limited, watchdog=Watchdog(2 * timeout + GRACE))
         self._replaced = 0
         self._players = [_Player(agent, self._limited())] * env.num_envs
         self._fresh: Agent | None = None  # copied after a timeout; an agent in use or hanging must not be
@@ -246,7 +246,7 @@ class EpisodeRunner:
         try:
             return Deadline(self._copying).call(copy.deepcopy, agent)
         except Exception as error:
-            raise InvalidValueError(
+            raise AgentError(
                 f"agent {self._asked.name!r} cannot be copied for each simulation ({describe(error)}); "
                 "give it a method act_many(observations), or use num_envs=1"
             ) from error

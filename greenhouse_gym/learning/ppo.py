@@ -14,7 +14,7 @@ from greenhouse_gym.envs.episodes import EpisodeSampler
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.learning.sb3 import make_sb3_vec_env
 from greenhouse_gym.learning.settings import PpoSettings
-from greenhouse_gym.learning.training_settings import env_options
+from greenhouse_gym.learning.training_settings import env_options, physics_of
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import SceneBank
 
@@ -49,8 +49,8 @@ def train_ppo(
 
     ``out`` gets ``settings.json``, ``curve.csv`` (one line per rollout), ``validation.csv`` (one per validation),
     ``tensorboard`` (both, with the reward's terms and the losses), ``checkpoint.safetensors`` at intervals, at the end
-    and when interrupted, and ``policy.json`` with ``policy.safetensors``. A resumed training continues with the
-    weights, the optimizer and the step count of the checkpoint, in new episodes.
+    and when interrupted, and ``policy.json`` with ``policy.safetensors``. A training that is killed and resumed ends in
+    the same policy as one that is left alone; after an interrupt it continues where it stood, in new episodes.
 
     Args:
         settings: The settings.
@@ -91,12 +91,15 @@ def train_ppo(
         options = {
             "num_envs": min(settings.num_envs, settings.validation_episodes),
             **{name: getattr(settings, name) for name in ("bank", "robot", "difficulty", "threads", "task", "plants")},
+            **physics_of(settings),
         }
         report = TrainingReport(
             out, described, model, settings.num_envs * settings.rollout_steps, (VALIDATION_SPLIT,), options,
-            time_limit, checkpoint_seconds, on_progress,
+            time_limit, checkpoint_seconds, settings.num_envs * settings.restart_steps, on_progress,
         )  # fmt: skip
-        return learn(model, report, resume, [CriticFirst(0 if model.num_timesteps else settings.critic_rollouts)])
+        return learn(
+            model, report, resume, [CriticFirst(settings.critic_rollouts - model._n_updates // settings.epochs)]
+        )
 
 
 def _check_validation(settings: PpoSettings) -> None:

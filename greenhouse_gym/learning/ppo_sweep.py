@@ -53,8 +53,7 @@ def sweep_ppo(
 
     Each training writes its own folder below ``out``, wherever it runs; on a cluster all nodes must see ``out``. A
     training whose process or node is lost continues from its last checkpoint, and so do all when the sweep is started
-    again; it then ends in another policy than without the interruption. A training that fails does not affect the
-    others; its row contains the error.
+    again. A training that fails does not affect the others; its row contains the error.
 
     With a `RayExecutor` the trainings are trials of Ray Tune, which keeps its own files in ``out/tune``.
 

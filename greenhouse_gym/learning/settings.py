@@ -38,7 +38,7 @@ class PpoSettings:
         action: Action of the environment, by name or your own.
         reward: Reward of the environment, by name or your own; "path" has a planner in it.
         task: Task of the environment, by name or your own.
-        plants: "rigid", or "brush" for leaves that give way.
+        plants: "rigid", "brush" for leaves that give way, or "compliant" for the true rows of the task "harvest".
         difficulty: Difficulties of the targets.
         scene: Name of the only scene to train on; all scenes of the split if None.
         target: Index of its only tomato to train on; needs a scene.
@@ -54,6 +54,8 @@ class PpoSettings:
         log_std: Initial logarithm of the standard deviation of the action noise.
         hidden: Sizes of the hidden layers of actor and critic.
         activation: Activation function between the layers, "tanh" or "relu".
+        restart_steps: Steps of each simulation after which all begin new episodes, and a checkpoint can be written from
+            which a killed training resumes to the same policy.
         critic_rollouts: Rollouts at the beginning that train the critic alone, so that an untrained critic does not
             spoil a policy that is already good.
         validation_steps: Steps between validations: episodes on rows not trained on, without the policy's noise; 0 for
@@ -88,6 +90,7 @@ class PpoSettings:
     log_std: Annotated[float, Field(ge=-20, le=2, allow_inf_nan=False)] = -1.0
     hidden: Layers = (256, 256)
     activation: str = "relu"
+    restart_steps: PositiveCount = 1000
     critic_rollouts: int = 0
     validation_steps: int = 0
     validation_episodes: PositiveCount = 100

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
 import torch
 from pydantic import BaseModel, NonNegativeInt
 from safetensors.torch import load, save
@@ -30,6 +31,8 @@ class _Notes(BaseModel):
     steps: NonNegativeInt
     settings: dict[str, Any]
     algorithm: str = "PPO"
+    updates: NonNegativeInt = 0
+    lines: list[list[float]] = []
 
 
 def check_folder(
@@ -120,13 +123,22 @@ def save_checkpoint(model: Any, folder: Path, notes: dict[str, Any]) -> Path:
     contiguous = {name: tensor.detach().cpu().contiguous().clone() for name, tensor in tensors.items()}
     content = save(
         contiguous,
-        {"notes": json.dumps({"steps": int(model.num_timesteps), "algorithm": algorithm_of(model), **notes})},
+        {
+            "notes": json.dumps(
+                {
+                    "steps": int(model.num_timesteps),
+                    "updates": int(model._n_updates),
+                    "algorithm": algorithm_of(model),
+                    **notes,
+                }
+            )
+        },
     )
     return write_atomically(folder / CHECKPOINT, content)
 
 
 def read_notes(folder: Path) -> dict[str, Any]:
-    """Read the notes of a checkpoint: ``steps``, ``settings``, ``algorithm``.
+    """Read the notes of a checkpoint: ``steps``, ``settings``, ``algorithm``, ``updates`` and ``lines`` of episodes.
 
     Raises:
         FileFormatError: The checkpoint is missing or damaged.
@@ -181,8 +193,15 @@ def load_checkpoint(model: Any, folder: Path) -> dict[str, Any]:
             tensor.data.copy_(tensors[f"alone.{name}"])
     except (RuntimeError, ValueError, KeyError) as error:
         raise FileFormatError(path, f"does not fit the network: {error}") from error
-    model.num_timesteps = notes["steps"]
+    model.num_timesteps, model._n_updates = notes["steps"], notes["updates"]
     return notes
+
+
+def restart_episodes(model: Any, seed: int) -> None:
+    """Start new episodes in all simulations, and all random numbers, as the seed and the steps so far decide."""
+    model.set_random_seed((seed + model.num_timesteps) % 2**32)
+    model._last_obs = model.get_env().reset()
+    model._last_episode_starts = np.ones(model.n_envs, bool)
 
 
 def parameters_of(optimizer: torch.optim.Optimizer) -> list[torch.Tensor]:

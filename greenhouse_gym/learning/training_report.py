@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
 from stable_baselines3.common.callbacks import BaseCallback
 
 from greenhouse_gym.common.progress import progress
@@ -23,6 +23,8 @@ from greenhouse_gym.learning.training_files import (
     algorithm_of,
     has_diverged,
     read_curve,
+    read_notes,
+    restart_episodes,
     save_checkpoint,
     write_curve,
 )
@@ -38,12 +40,32 @@ VALIDATION_SEED = 10_000
 """Seed of the first validation episode."""
 
 
+class Totals(NamedTuple):
+    """Number of the episodes that ended, and sums over them."""
+
+    episodes: float = 0.0
+    successes: float = 0.0
+    collisions: float = 0.0
+    returns: float = 0.0
+    lengths: float = 0.0
+
+    def means(self) -> dict[str, float]:
+        """Return the means to five decimals; nan without episodes."""
+        figures = dict(zip(COLUMNS[2:], self[1:], strict=True))
+        return {name: round(total / self.episodes, 5) if self.episodes else math.nan for name, total in figures.items()}
+
+
+def summed(totals: Iterable[Sequence[float]]) -> Totals:
+    """Return the sum of totals."""
+    return Totals(*(sum(column) for column in zip(Totals(), *totals, strict=True)))
+
+
 class Validation(NamedTuple):
     """Episodes of the policy without its noise, the same ones every time.
 
     Attributes:
         steps: Environment steps of the training so far.
-        updates: Gradient updates since the training began or was resumed.
+        updates: Gradient updates since the training began.
         seconds: Seconds of the training so far.
         results: The episodes by split.
     """
@@ -82,6 +104,9 @@ class TrainingReport(BaseCallback):  # type: ignore[misc]
         options: Keywords of `evaluate` for the validation.
         time_limit: Seconds after which the training stops, or None.
         checkpoint_seconds: Seconds between checkpoints.
+        restart_steps: Steps of all simulations between the starts of rollouts at which all episodes and random numbers
+            restart. Checkpoints are written there only, so that a training that is killed and resumed ends in the
+            same policy. None, for trainings that a checkpoint does not hold whole: they are written at any time.
         on_progress: Called with each new line of the learning curve.
         on_validation: Called with each validation.
     """
@@ -96,12 +121,13 @@ class TrainingReport(BaseCallback):  # type: ignore[misc]
         options: Mapping[str, Any],
         time_limit: float | None,
         checkpoint_seconds: float,
+        restart_steps: int | None = None,
         on_progress: Callable[[Mapping[str, float]], None] = lambda line: None,
         on_validation: Callable[[Validation], None] = lambda validation: None,
     ):
         super().__init__()
         self.out, self.settings, self.model, self.splits, self.options = out, settings, model, splits, options
-        self.time_limit, self.checkpoint_seconds = time_limit, checkpoint_seconds
+        self.time_limit, self.checkpoint_seconds, self.restart_steps = time_limit, checkpoint_seconds, restart_steps
         self.on_progress, self.on_validation = on_progress, on_validation
         self.curve_steps, self.validation_steps = curve_steps, settings["validation_steps"]
         done = model.num_timesteps
@@ -109,19 +135,27 @@ class TrainingReport(BaseCallback):  # type: ignore[misc]
             [row for row in read_curve(out / name) if row["steps"] <= done] if done else []
             for name in (CURVE, VALIDATION)
         )
-        self.last_step = done
+        self.last_step = self.last_start = done
         self.seconds_before = max((rows[-1]["seconds"] for rows in (self.rows, self.validations) if rows), default=0.0)
         self.began = self.saved = time.monotonic()
-        self.episodes: list[list[dict[str, Any]]] = [[]]
+        self.lines = [*(Totals(*line) for line in read_notes(out)["lines"]), Totals()] if done else [Totals()]
         self.note = ""
         self.display = ExitStack()
         self.show = self.display.enter_context(progress("steps of training", settings["total_steps"]))
+
+    def _on_rollout_start(self) -> None:
+        if self.restart_steps and self.num_timesteps // self.restart_steps > self.last_start // self.restart_steps:
+            if time.monotonic() - self.saved > self.checkpoint_seconds:
+                self.save()
+            restart_episodes(self.model, self.settings["seed"])
+        self.last_start = self.num_timesteps
 
     def _on_step(self) -> bool:
         self.show(self.num_timesteps, self.note)
         for info in self.locals["infos"]:
             if "episode" in info:
-                self.episodes[-1].append(info)
+                figures = (1, info["is_success"], info["collision"], info["episode"]["r"], info["episode"]["l"])
+                self.lines[-1] = summed([self.lines[-1], Totals(*map(float, figures))])
                 self.logger.record_mean("episodes/success_rate", float(info["is_success"]))
                 self.logger.record_mean("episodes/collision_rate", float(info["collision"]))
                 for name, value in info[TERMS].items():
@@ -131,7 +165,7 @@ class TrainingReport(BaseCallback):  # type: ignore[misc]
         if self._passed(self.curve_steps):
             self._add_line()
         self.last_step = self.num_timesteps
-        if time.monotonic() - self.saved > self.checkpoint_seconds:
+        if self.restart_steps is None and time.monotonic() - self.saved > self.checkpoint_seconds:
             self.save()
         return self.time_limit is None or time.monotonic() - self.began < self.time_limit
 
@@ -144,19 +178,12 @@ class TrainingReport(BaseCallback):  # type: ignore[misc]
 
     def _add_line(self) -> None:
         """Add a line to the learning curve and show it."""
-        self.episodes = self.episodes[-WINDOW:]
-        infos = [info for line in self.episodes for info in line]
-        self.episodes.append([])
-        row = {
-            "steps": self.num_timesteps,
-            "seconds": self._seconds(),
-            "success_rate": _mean([info["is_success"] for info in infos]),
-            "collision_rate": _mean([info["collision"] for info in infos]),
-            "return": _mean([info["episode"]["r"] for info in infos]),
-            "length": _mean([info["episode"]["l"] for info in infos]),
-        }
+        self.lines = self.lines[-WINDOW:]
+        totals = summed(self.lines)
+        self.lines.append(Totals())
+        row = {"steps": self.num_timesteps, "seconds": self._seconds(), **totals.means()}
         self.rows.append(row)
-        if infos:
+        if totals.episodes:
             self.note = f"success {row['success_rate']:.0%}, collision {row['collision_rate']:.0%}"
         self.on_progress(row)
         if has_diverged(self.model):
@@ -185,7 +212,7 @@ class TrainingReport(BaseCallback):  # type: ignore[misc]
             DivergedError: The model has diverged; the last checkpoint is kept.
         """
         self.saved = time.monotonic()
-        save_checkpoint(self.model, self.out, {"settings": dict(self.settings)})
+        save_checkpoint(self.model, self.out, {"settings": dict(self.settings), "lines": self.lines[:-1]})
         write_curve(self.out / CURVE, COLUMNS, self.rows)
 
     def save_policy(self) -> Path:
@@ -203,8 +230,3 @@ class TrainingReport(BaseCallback):  # type: ignore[misc]
         """Stop the progress display and close the log."""
         self.display.close()
         self.model.logger.close()
-
-
-def _mean(values: Sequence[float]) -> float:
-    """Return the mean to five decimals; nan without values."""
-    return round(float(np.mean(values)), 5) if values else float("nan")

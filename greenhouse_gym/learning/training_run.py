@@ -18,7 +18,13 @@ from greenhouse_gym.common.files import exclusive, write_atomically
 from greenhouse_gym.common.own_code import described
 from greenhouse_gym.common.progress import report as say
 from greenhouse_gym.errors import FileWriteError, GreenhouseError, InvalidValueError
-from greenhouse_gym.learning.training_files import CHECKPOINT, check_folder, load_checkpoint, read_notes
+from greenhouse_gym.learning.training_files import (
+    CHECKPOINT,
+    check_folder,
+    load_checkpoint,
+    read_notes,
+    restart_episodes,
+)
 from greenhouse_gym.learning.training_report import TrainingReport
 from greenhouse_gym.scene import Scene
 
@@ -80,7 +86,7 @@ def training_in(out: Path, model: Any, settings: Mapping[str, Any], resume: bool
             model.set_logger(configure(str(out / "tensorboard"), ["tensorboard"]))
             if resume:
                 load_checkpoint(model, out)
-                model.get_env().seed(settings["seed"] + model.num_timesteps)
+                restart_episodes(model, settings["seed"])
             write_atomically(out / "settings.json", json.dumps(settings, indent=1) + "\n")
             yield
     finally:

@@ -438,7 +438,7 @@ def test_a_build_elsewhere_goes_on_with_the_scene_at_which_it_stopped(calls: Cal
 
 def test_a_recording_that_cannot_travel_is_named_before_any_work(calls: Calls, tmp_path: Path) -> None:
     row = replace(recording("a"), load=lambda i: of_one_shade(0, i))
-    with pytest.raises(InvalidValueError, match="recording 'a' cannot be sent to another process"):
+    with pytest.raises(InvalidValueError, match="recording 'a' cannot be pickled"):
         built(tmp_path, [row], executor=Elsewhere())
     assert calls.reconstructed == []
     assert len(built(tmp_path, [row])) == 3

@@ -342,7 +342,9 @@ def test_agents_that_fail_elsewhere_are_told_as_here(bank: SceneBank) -> None:
 def test_an_agent_that_cannot_travel_is_named(bank: SceneBank) -> None:
     agent = RandomAgent()
     agent.memory = lambda: None  # type: ignore[attr-defined]
-    with pytest.raises(InvalidValueError, match="agent 'random' with its options cannot be sent to another process"):
+    with pytest.raises(
+        AgentError, match="agent 'random' cannot be sent to another process: with its options it cannot be p"
+    ):
         evaluate(agent, episodes=4, bank=bank, executor=Elsewhere())
 
 
@@ -369,7 +371,7 @@ def test_agents_that_cannot_be_copied_play_alone(bank: SceneBank) -> None:
             raise TypeError("there is only one")
 
     assert len(evaluate(Unique(), episodes=1, bank=bank).records) == 1
-    with pytest.raises(InvalidValueError, match=r"'unique' cannot be copied .* act_many"):
+    with pytest.raises(AgentError, match=r"'unique' cannot be copied .* act_many"):
         evaluate(Unique(), episodes=2, bank=bank, num_envs=2)
 
 

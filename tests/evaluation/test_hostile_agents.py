@@ -7,6 +7,7 @@ import math
 import os
 import re
 import sys
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -241,6 +242,19 @@ def test_an_agents_own_observation_or_action_ends_no_comparison(bank: SceneBank,
     assert [record.failure for record in still.records] == [""]
 
 
+@pytest.mark.parametrize(
+    "options", [{"observation": "none such"}, {"action": 3}, {"observation": ""}, {"action": lambda: None}], ids=str
+)
+def test_options_of_an_agent_that_cannot_be_used_end_no_comparison(bank: SceneBank, options: dict[str, Any]) -> None:
+    wanting = StillAgent()
+    wanting.env_options = options
+    lost, still = compare([wanting, StillAgent()], episodes=1, bank=bank, step_limit=2)
+    assert f"its env_options ({next(iter(options))}) cannot be used: " in lost.error
+    assert len(still.records) == 1
+    with pytest.raises(InvalidValueError, match=r"^step_limit"):  # of the caller
+        compare([wanting, StillAgent()], episodes=1, bank=bank, step_limit=-2)
+
+
 def test_work_in_an_agents_own_observation_counts_as_its_time(bank: SceneBank, monkeypatch: pytest.MonkeyPatch) -> None:
     clock = [0.0]
 
@@ -263,8 +277,8 @@ class Inimitable(StillAgent):
 
 
 def test_a_copy_that_never_ends_is_given_up(bank: SceneBank, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(runner, "_GRACE", 0.1)
-    with pytest.raises(InvalidValueError, match=r"cannot be copied .*timed out after 0\.1 s"):
+    monkeypatch.setattr(runner, "GRACE", 0.1)
+    with pytest.raises(AgentError, match=r"cannot be copied .*timed out after 0\.1 s"):
         evaluate(Inimitable(), episodes=2, bank=bank, num_envs=2, timeout=0.1, step_limit=1)
 
 
@@ -331,6 +345,37 @@ class EndingOnArrival(StillAgent):
         return os._exit, (7,)
 
 
+class HangingOnArrival(StillAgent):
+    """Never arrives in a worker process."""
+
+    name = "hanging on arrival"
+
+    def __reduce__(self) -> Any:
+        return sum, (itertools.repeat(1),)
+
+
+class HangingOnDeparture(StillAgent):
+    """Cannot be pickled within any time."""
+
+    name = "hanging on departure"
+
+    def __reduce__(self) -> Any:
+        while True:
+            time.sleep(0.01)
+
+
+class LeavingChildren(StillAgent):
+    """Leaves a child process behind at each step."""
+
+    name = "leaving children"
+
+    def act(self, observation: Any) -> Any:
+        if not os.fork():
+            time.sleep(60)
+            os._exit(0)
+        return super().act(observation)
+
+
 class Blocking(StillAgent):
     """Never lets another thread run."""
 
@@ -342,12 +387,22 @@ class Blocking(StillAgent):
 
 @pytest.mark.slow
 def test_an_agent_that_ends_or_blocks_its_process_ends_no_comparison_in_processes(bank: SceneBank) -> None:
-    agents = [Ending(), EndingOnArrival(), Blocking(), StillAgent()]
+    agents = [
+        Ending(),
+        EndingOnArrival(),
+        HangingOnArrival(),
+        Blocking(),
+        HangingOnDeparture(),
+        Forking(),
+        StillAgent(),
+    ]
     with processes(2) as executor:
-        *lost, still = compare(agents, episodes=4, bank=bank, step_limit=4, executor=executor, timeout=10.0)
+        *lost, leaving, still = compare(agents, episodes=4, bank=bank, step_limit=4, executor=executor, timeout=10.0)
     for agent, evaluation in zip(agents, lost, strict=False):
-        assert re.match(f"agent '{agent.name}': a worker process ended", evaluation.error)
-    assert [record.failure for record in still.records] == [""] * 4
+        departed = agent.name != HangingOnDeparture.name
+        told = ": a worker process ended" if departed else " cannot be sent to another process: timed out after 10 s"
+        assert evaluation.error.startswith(f"agent '{agent.name}'{told}")
+    assert [record.failure for record in (*leaving.records, *still.records)] == [""] * 8
 
 
 def test_ctrl_c_still_ends_it(bank: SceneBank) -> None:

@@ -5,6 +5,9 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Mapping
+from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +15,7 @@ import pytest
 
 pytest.importorskip("stable_baselines3")
 
+import safetensors.torch
 import torch
 
 from greenhouse_gym.common.files import exclusive
@@ -25,7 +29,7 @@ from greenhouse_gym.scene import SceneBank
 def settings(bank: SceneBank) -> PpoSettings:
     return PpoSettings(
         bank=str(bank.path), observation="state", reward="dense", total_steps=64, num_envs=2, rollout_steps=8,
-        batch_size=16, epochs=1, hidden=(8,), threads=1,
+        batch_size=16, epochs=1, hidden=(8,), restart_steps=8, threads=1,
     )  # fmt: skip
 
 
@@ -38,9 +42,9 @@ def test_a_diverged_training_keeps_its_last_checkpoint(settings: PpoSettings, tm
             with torch.no_grad():
                 models[0].policy.action_net.weight.fill_(weight)
 
-    with pytest.raises(DivergedError, match="30 steps is kept"):
+    with pytest.raises(DivergedError, match="16 steps is kept"):
         train_ppo(settings, tmp_path, checkpoint_seconds=0, prepare=models.append, on_progress=spoil)
-    assert read_notes(tmp_path)["steps"] == 30
+    assert read_notes(tmp_path)["steps"] == 16
     assert not (tmp_path / "policy.json").exists()
     path = train_ppo(settings, tmp_path, resume=True)
     assert path.name == "policy.json"
@@ -85,6 +89,29 @@ def test_the_lock_of_a_killed_process_is_no_hindrance(tmp_path: Path) -> None:
         pass
 
 
+def test_a_training_that_is_killed_and_resumed_ends_in_the_same_policy(settings: PpoSettings, tmp_path: Path) -> None:
+    """Episodes end, the critic is trained alone, and the third kill is after the last step."""
+    longer = replace(settings, total_steps=2048, rollout_steps=64, batch_size=64, restart_steps=256, critic_rollouts=6)
+
+    def run(out: Path, resume: bool = False, killed_at: int | None = None) -> None:
+        def kill(line: Mapping[str, float]) -> None:
+            if line["steps"] == killed_at:
+                raise SystemExit  # nothing is saved
+
+        with pytest.raises(SystemExit) if killed_at else nullcontext():
+            train_ppo(longer, out, resume=resume, checkpoint_seconds=0, on_progress=kill)
+
+    run(tmp_path / "whole")
+    for moment, resume in ((640, False), (1536, True), (2048, True), (None, True)):
+        run(tmp_path / "killed", resume, moment)
+    rows = [read_curve(tmp_path / name / "curve.csv") for name in ("whole", "killed")]
+    assert [{**row, "seconds": 0} for row in rows[0]] == [{**row, "seconds": 0} for row in rows[1]]
+    assert sum(row["length"] > 0 for row in rows[0]) > 5
+    whole, killed = (safetensors.torch.load_file(tmp_path / name / CHECKPOINT) for name in ("whole", "killed"))
+    assert whole.keys() == killed.keys()
+    assert all(torch.equal(whole[name], killed[name]) for name in whole)
+
+
 @pytest.mark.slow
 def test_a_full_disk_leaves_the_last_checkpoint(settings: PpoSettings, tmp_path: Path) -> None:
     pytest.importorskip("resource")
@@ -102,6 +129,6 @@ except FileWriteError as error:
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert "told" in done.stdout, done.stderr
-    assert read_notes(tmp_path)["steps"] == 30
+    assert read_notes(tmp_path)["steps"] == 16
     assert not list(tmp_path.glob(f".{CHECKPOINT}.*"))
     assert train_ppo(settings, tmp_path, resume=True).is_file()

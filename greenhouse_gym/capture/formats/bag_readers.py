@@ -83,6 +83,8 @@ def open_bag(bag: Path) -> Iterator[Any]:
                 )
             else:
                 reader = opening.enter_context(AnyReader([bag]))
+        except MemoryError as error:
+            raise FileFormatError(bag, "more memory than there is would be needed to read this bag") from error
         except Exception as error:  # damage has any form
             raise FileFormatError(bag, f"not a valid bag ({error}); {_repair(bag)}") from error
         yield reader

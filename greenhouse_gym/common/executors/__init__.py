@@ -7,8 +7,8 @@ from greenhouse_gym.common.executors.spreading import (
     completed,
     executor_for,
     idle_cores,
+    portable,
     processes,
-    require_portable,
     usable_cores,
     workers_of,
 )
@@ -20,8 +20,8 @@ __all__ = [
     "completed",
     "executor_for",
     "idle_cores",
+    "portable",
     "processes",
-    "require_portable",
     "usable_cores",
     "workers_of",
 ]

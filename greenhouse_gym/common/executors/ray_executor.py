@@ -103,8 +103,12 @@ class RayExecutor(Executor):
 
     def message(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> bytes:
         """Return a function of a module and its arguments, serialized."""
+        return self.dumps((fn, args, kwargs))
+
+    def dumps(self, thing: object) -> bytes:
+        """Return an object pickled, also one of a class of the caller's script."""
         # Protocol 5 would leave arrays unaligned in the message, which changes the last bits of matrix products.
-        return bytes(self.ray.cloudpickle.dumps((fn, args, kwargs), protocol=4))
+        return bytes(self.ray.cloudpickle.dumps(thing, protocol=4))
 
     def home(self) -> tuple[str, list[str], str]:
         """Return the caller's working folder, module search path and version of this package."""

@@ -83,11 +83,11 @@ def completed(
             future.cancel()
 
 
-def require_portable(executor: Executor | None, what: str, thing: object) -> None:
-    """Raise an error unless an object can travel to an executor's workers.
+def portable(executor: Executor | None, what: str, thing: object) -> bytes:
+    """Return an object as an executor's workers can unpickle it; nothing for threads and None, which need no pickling.
 
     Args:
-        executor: The executor; threads and None need no pickling.
+        executor: The executor.
         what: Name of the object in the message.
         thing: The object.
 
@@ -95,11 +95,11 @@ def require_portable(executor: Executor | None, what: str, thing: object) -> Non
         InvalidValueError: The object cannot be pickled.
     """
     if executor is None or isinstance(executor, ThreadPoolExecutor):
-        return
+        return b""
     try:
-        pickle.dumps(thing)
+        return bytes(getattr(executor, "dumps", pickle.dumps)(thing))
     except Exception as error:  # any part of the object may raise anything
-        raise InvalidValueError(f"{what} cannot be sent to another process ({error}); work without executor") from error
+        raise InvalidValueError(f"{what} cannot be pickled ({error}); work without executor") from error
 
 
 def workers_of(executor: Executor) -> int:
