@@ -23,6 +23,15 @@ TYPES = np.array(
     ]
 )  # fmt: skip
 _EQUAL = 1e-6  # difference below which the compiler takes frames as equal
+_MIN_VALUE = 1e-15  # MuJoCo's mjMINVAL
+_X, _Y, _Z = (7, 5, -1), (2, 6, -1), (3, 1, -1)
+_XY, _XZ, _YZ = (1, 3, 1), (2, 6, 1), (5, 7, 1)
+_LARGEST_ENTRIES = (  # signs of the diagonal, and the others as sums of two entries, for each largest entry
+    ((1, 1, 1), {1: _X, 2: _Y, 3: _Z}),
+    ((1, -1, -1), {0: _X, 2: _XY, 3: _XZ}),
+    ((-1, 1, -1), {0: _Y, 1: _XY, 3: _YZ}),
+    ((-1, -1, 1), {0: _Z, 1: _XZ, 2: _YZ}),
+)
 _NO_ROTATION = np.array([1.0, 0.0, 0.0, 0.0])
 
 
@@ -80,9 +89,29 @@ def geoms_of(shapes: ShapeArrays) -> tuple[np.ndarray[tuple[int], np.dtype[np.in
             mujoco.mju_quatZ2Vec(quats[k], axes[k])
     rotations = shapes.rotations.reshape(-1, 9)
     turned = (rotations != np.eye(3).reshape(9)).any(axis=1)  # most boxes of observed points are not
-    for k in np.flatnonzero(((kinds == BOX) | (kinds == ELLIPSOID)) & turned).tolist():
-        mujoco.mju_mat2Quat(quats[k], rotations[k])
+    turned &= (kinds == BOX) | (kinds == ELLIPSOID)
+    quats[turned] = _quaternions(rotations[turned])
     return kinds, (shapes.starts + shapes.ends) / 2, sizes, quats
+
+
+def _quaternions(m: Array) -> Array:
+    """Return the quaternions (n, 4) of rotations (n, 9) by rows with the arithmetic of `mujoco.mju_mat2Quat`."""
+    trace = m[:, 0] + m[:, 4] + m[:, 8]
+    first, second = (m[:, 0] > m[:, 4]) & (m[:, 0] > m[:, 8]), m[:, 4] > m[:, 8]
+    largest = np.where(trace > 0, 0, np.where(first, 1, np.where(second, 2, 3)))
+    quats = np.empty((len(m), 4))
+    for k, (signs, entries) in enumerate(_LARGEST_ENTRIES):
+        own = largest == k
+        a = m[own]
+        size = 0.5 * np.sqrt(1 + signs[0] * a[:, 0] + signs[1] * a[:, 4] + signs[2] * a[:, 8])
+        quats[own, k] = size
+        for j, (one, other, sign) in entries.items():
+            quats[own, j] = 0.25 * (a[:, one] + sign * a[:, other]) / size
+    w, x, y, z = quats.T
+    norm = np.sqrt((w * w + x * x) + (y * y + z * z))
+    off = np.abs(norm - 1) > _MIN_VALUE
+    quats[off] *= (1 / norm[off])[:, None]
+    return quats
 
 
 def build_tree(model: mujoco.MjModel, body: int = 0) -> None:

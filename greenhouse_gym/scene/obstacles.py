@@ -105,7 +105,7 @@ class Shapes(Part):
     @model_validator(mode="after")
     def _within_bounds(self) -> Self:
         fields = vars(self)
-        if any(isinstance(fields[name], ShapeColumns) for name in _PARTS):
+        if any(isinstance(fields.get(name), ShapeColumns) for name in _PARTS):
             parts = ((name, fields.pop(name)) for name in _PARTS)
             fields["columns"] = joined(
                 *(part if isinstance(part, ShapeColumns) else ShapeColumns.of(**{name: part}) for name, part in parts)

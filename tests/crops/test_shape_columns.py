@@ -75,3 +75,10 @@ def test_boxes_over_space_are_clutter_that_is_no_leaf() -> None:
     assert more.leaves.tolist() == shapes.leaves.tolist()
     assert more.tomatoes is shapes.tomatoes
     assert len(shapes.clutter) == 5
+
+
+def test_shapes_of_a_file_are_a_part_of_other_scenes() -> None:
+    truth = Shapes(tomatoes=TOMATOES, stems=STEMS, clutter=CLUTTER[1:]).compact()
+    scene = Scene(name="one", provenance=Provenance(row="r"), truth=truth)
+    assert scene.truth is truth
+    assert described(Scene.parse(scene.model_dump_json().encode(), "one").truth.tomatoes) == described(truth.tomatoes)  # type: ignore[union-attr]
