@@ -13,7 +13,6 @@ from typing import Any
 from greenhouse_gym.agents import Agent
 from greenhouse_gym.common.executors import workers_of
 from greenhouse_gym.common.files import exclusive, write_atomically
-from greenhouse_gym.common.own_code import described
 from greenhouse_gym.common.tables import Table, number
 from greenhouse_gym.crops.crop import PlantMotion
 from greenhouse_gym.envs import EnvSettings, Randomization
@@ -100,13 +99,14 @@ def submit(
         raise InvalidValueError(f"tracks must be some of {', '.join(TRACKS)}, got {', '.join(tracks) or 'none'}")
     stem = Path(name).name.replace(":", "-").removesuffix(".json")
     asked = AskedAgent.of(agent)
+    action = asked.env_options.get("action", EnvSettings().action)
     path = Path(out).absolute() / (f"{stem}.json" if protocol == V1 else f"{stem}.trial.json")
     fresh = Entry(
         agent=name,
         note=note,
         protocol=protocol.as_json(),
         bank_sha256=SceneBank.open(protocol.bank).sha256,
-        action=described(asked.env_options.get("action", EnvSettings().action)),
+        action=action if isinstance(action, str) else "own",
         versions=package_versions(),
         machine={},
         tracks={},
