@@ -138,7 +138,7 @@ def submit(
 def replay(entry: Entry, agent: Agent, track: str, episodes: int = 10) -> list[tuple[Record, Record]]:
     """Repeat the first episodes of an entry and return pairs of its record and the new one."""
     before = entry.evaluation(track).records[:episodes]
-    given = {} if "action" in AskedAgent.of(agent).env_options else {"action": entry.action}
+    given: dict[str, Any] = {} if "action" in AskedAgent.of(agent).env_options else {"action": entry.action}
     now = _run(agent, entry.rules, track, len(before), **given).records
     return list(zip(before, now, strict=True))
 
