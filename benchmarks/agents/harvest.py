@@ -2,6 +2,8 @@
 
 python -m benchmarks.agents.harvest --sizes pick stand --episodes 100 --workdir /tmp/harvest
 python -m benchmarks.agents.harvest --agent harvest-scan --sizes stand --episodes 100 --workdir /tmp/harvest
+python -m benchmarks.agents.harvest --sizes row --episodes 10 --workdir /tmp/harvest
+python -m benchmarks.agents.harvest --agent truss-cutter --sizes truss --episodes 20 --workdir /tmp/harvest
 python -m benchmarks.agents.harvest --bank mini --split train --sizes pick --episodes 4 --results /tmp/harvest.json
 
 Episodes take place in the true rows of a split, with compliant plants; each draws its scene and fruit from its seed.
@@ -21,15 +23,18 @@ from greenhouse_gym.evaluation import evaluate
 from greenhouse_gym.evaluation.harvest import METRICS, harvest_metrics
 from greenhouse_gym.evaluation.journal import RecordJournal
 from greenhouse_gym.evaluation.leaderboard import TRACKS
+from greenhouse_gym.robots import mount_on_rail
 
-STEP_LIMITS = {"pick": 400, "truss": 2400, "stand": TRACKS["harvest"]["step_limit"]}
+STEP_LIMITS = {"pick": 400, "truss": 2400, "stand": TRACKS["harvest"]["step_limit"], "row": 9000}
 """Shorter than the task's: an agent that has given up only waits."""
 
 
 def main() -> None:
     """Harvest, print and write the figures."""
     command = parser(__doc__)
-    command.add_argument("--agent", choices=("harvest-oracle", "harvest-scan"), default="harvest-oracle")
+    command.add_argument(
+        "--agent", choices=("harvest-oracle", "harvest-scan", "truss-cutter"), default="harvest-oracle"
+    )
     command.add_argument("--bank", default="default")
     command.add_argument("--split", default="test")
     command.add_argument("--sizes", nargs="+", choices=SIZES, default=["pick", "stand"])
@@ -46,9 +51,12 @@ def main() -> None:
             agent = make_agent(given.agent)
             file = folder / f"{agent.name}-{given.bank}-{given.split}-{given.seed}-{size}.jsonl"
             journal = RecordJournal(file, settings | {"agent": agent.name})
+            options = {"size": size} if agent.env_options["task"] == "harvest" else {}  # the cutter's task has its size
+            if size == "row":
+                options["robot"] = str(mount_on_rail("ur5e", folder / "ur5e-rail.xml"))
             found = evaluate(
-                agent, given.split, given.episodes, given.seed, journal=journal, bank=given.bank, size=size,
-                step_limit=STEP_LIMITS[size], **agent.env_options,
+                agent, given.split, given.episodes, given.seed, journal=journal, bank=given.bank,
+                step_limit=STEP_LIMITS[size], **options, **agent.env_options,
             )  # fmt: skip
             metrics = harvest_metrics(found.records)
             figures = {name: [round(value, 4) for value in values] for name, values in metrics.items()}

@@ -30,7 +30,7 @@ from greenhouse_gym.crops import grow_row
 from greenhouse_gym.errors import GreenhouseError
 from greenhouse_gym.geometry import Array, invert
 from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud, reconstruct_row, settings_for
-from greenhouse_gym.reconstruction.fitting import sensor_noise
+from greenhouse_gym.reconstruction.settings import sensor_noise
 from greenhouse_gym.shapes import ShapeWarning
 
 SEEDS, LENGTH, STATIONS = (2, 3), 0.6, 2

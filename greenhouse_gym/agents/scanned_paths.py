@@ -36,7 +36,7 @@ class Level(NamedTuple):
 
 
 class ScannedPaths:
-    """Planner from where the arm is, each time with another seed.
+    """Planner that starts at the current configuration, each time with another seed.
 
     Args:
         problem: The episode.

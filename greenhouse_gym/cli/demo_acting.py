@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from greenhouse_gym.cli.demo_report import DemoReport, DemoSettings
+from greenhouse_gym.cli.demo import DemoReport, DemoSettings
 from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.common.progress import progress
 

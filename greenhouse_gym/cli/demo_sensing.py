@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from greenhouse_gym.cli.demo_report import DemoReport, DemoSettings
+from greenhouse_gym.cli.demo import DemoReport, DemoSettings
 from greenhouse_gym.common.progress import progress
 
 if TYPE_CHECKING:

@@ -5,13 +5,10 @@ The same seed gives every agent the same episodes, whatever the number of parall
 
 from __future__ import annotations
 
-import math
-import pickle
 import reprlib
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, ThreadPoolExecutor
-from contextlib import nullcontext
+from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -19,13 +16,12 @@ import numpy as np
 
 from greenhouse_gym.agents import Agent
 from greenhouse_gym.agents.named import agent_of
-from greenhouse_gym.common.executors import WorkerLostError, completed, portable, workers_of
+from greenhouse_gym.common.executors import WorkerLostError
 from greenhouse_gym.common.own_code import described, printable
 from greenhouse_gym.common.progress import progress as progress_of
-from greenhouse_gym.envs import EnvSettings, GreenhouseVectorEnv, make_vec_env
+from greenhouse_gym.envs import EnvSettings, make_vec_env
 from greenhouse_gym.envs.choices import make_task
 from greenhouse_gym.errors import (
-    GreenhouseError,
     InvalidValueError,
     UnknownKeywordError,
     check_flag,
@@ -33,10 +29,11 @@ from greenhouse_gym.errors import (
     check_whole,
     require_seed,
 )
-from greenhouse_gym.evaluation.deadline import AgentError, AskedAgent, Deadline, Watchdog, never_acted
+from greenhouse_gym.evaluation.batches import Batch, run_by
+from greenhouse_gym.evaluation.deadline import AgentError, AskedAgent, Deadline, never_acted
 from greenhouse_gym.evaluation.journal import RecordJournal
 from greenhouse_gym.evaluation.records import Evaluation, Evaluations, Record
-from greenhouse_gym.evaluation.runner import GRACE, EpisodeRunner
+from greenhouse_gym.evaluation.runner import EpisodeRunner
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import Robot
 
@@ -47,7 +44,6 @@ _SHOWN = reprlib.Repr()  # also of objects that cannot be printed
 _SHOWN.maxother = _SHOWN.maxstring = 100
 
 _MAX_EPISODES, _PAIRS = 10**7, "pairs of a scene's name and a target"
-_PARTS = 16  # per worker, so that all workers finish at about the same time and an interruption loses little
 
 
 def evaluate(
@@ -110,9 +106,9 @@ def evaluate(
     choice = {key: own[key] for key in AGENTS_CHOICE if key in own}
     keywords = {**choice, **changed, **options, "split": split}
     own_keys = tuple(own.keys() - options.keys())
-    whole = _Part(asked, left, seed, num_envs, timeout, keywords, own_keys, proven=bool(ended))
+    whole = Batch(asked, left, seed, num_envs, timeout, keywords, own_keys, proven=bool(ended))
     rules = shown_rules(changed, asked.knows_truth)
-    results = whole.records() if executor is None else _run_by(executor, whole)
+    results = whole.records() if executor is None else run_by(executor, whole)
     with progress_of(f"episodes of {asked.name}", len(chosen), progress) as on_progress:
         for k, record in results if left else ():
             ended[k] = replace(record, rules=rules)
@@ -247,97 +243,3 @@ def retrace(
         return tuple(Trace(result.record, env.simulation.robot, result.joints) for result in runner.run())
     finally:
         env.close()
-
-
-@dataclass(frozen=True)
-class _Part:
-    """Subset of an evaluation's episodes, which can be sent to another process.
-
-    Attributes:
-        asked: The agent.
-        chosen: Index and reset options of each episode.
-        seed: Seed of episode 0.
-        num_envs: Number of episodes run in parallel.
-        timeout: See `evaluate`.
-        keywords: Keywords of the environment.
-        own: Those of them that are the agent's.
-        proven: The agent is known to give valid actions.
-        workers: Number of processes that run such subsets; zero in this one.
-    """
-
-    asked: AskedAgent
-    chosen: tuple[tuple[int, dict[str, Any]], ...]
-    seed: int
-    num_envs: int
-    timeout: float | None
-    keywords: dict[str, Any]
-    own: tuple[str, ...]
-    proven: bool = False
-    workers: int = 0
-
-    def records(self) -> Iterator[tuple[int, Record]]:
-        """Yield indices and records of the episodes in the order in which they end."""
-        env = self._environment(min(self.num_envs, max(1, len(self.chosen))))
-        try:
-            runner = EpisodeRunner(
-                self.asked, env, deque(self.chosen), self.seed, self.timeout, self.proven, self.workers
-            )
-            yield from ((result.episode_index, result.record) for result in runner.run())
-        finally:
-            env.close()
-
-    def _environment(self, count: int) -> GreenhouseVectorEnv:
-        try:
-            return make_vec_env(count, **self.keywords)
-        except GreenhouseError as error:
-            others = {name: value for name, value in self.keywords.items() if name not in self.own}
-            make_vec_env(count, **others).close()  # fails if it is not the agent's fault
-            shown = ", ".join(sorted(self.own))
-            raise AgentError(f"agent {self.asked.name!r}: its env_options ({shown}) cannot be used: {error}") from error
-
-    def run(self) -> list[tuple[int, Record]]:
-        """Return all indices and records."""
-        return list(self.records())
-
-
-@dataclass(frozen=True)
-class _Packed:
-    """Pickled subset; unpickling runs the agent's code, so that it has a time limit.
-
-    Attributes:
-        whole: The pickled `_Part`, of no episodes.
-        chosen: See `_Part`.
-        timeout: See `evaluate`.
-    """
-
-    whole: bytes
-    chosen: tuple[tuple[int, dict[str, Any]], ...]
-    timeout: float | None
-
-    def run(self) -> list[tuple[int, Record]]:
-        """Return all indices and records."""
-        with nullcontext() if self.timeout is None else Watchdog(self.timeout + GRACE):
-            whole: _Part = pickle.loads(self.whole)
-        return replace(whole, chosen=self.chosen).run()
-
-
-def _run_by(executor: Executor, whole: _Part) -> Iterator[tuple[int, Record]]:
-    """Yield indices and records of all episodes, run in batches by an executor's workers."""
-    name, chosen, workers = whole.asked.name, whole.chosen, workers_of(executor)
-    size = max(whole.num_envs, math.ceil(len(chosen) / (_PARTS * workers)))
-    whole = replace(whole, chosen=(), proven=True, workers=0 if isinstance(executor, ThreadPoolExecutor) else workers)
-    try:
-        packed = Deadline(whole.timeout).call(portable, executor, "with its options it", whole)
-    except (InvalidValueError, TimeoutError) as error:
-        raise AgentError(f"agent {name!r} cannot be sent to another process: {error}") from error
-    batches = (chosen[k : k + size] for k in range(0, len(chosen), size))
-    parts = (_Packed(packed, part, whole.timeout) if packed else replace(whole, chosen=part) for part in batches)
-    try:
-        for records in completed(_run, parts, executor):
-            yield from records
-    except WorkerLostError as error:
-        raise WorkerLostError(f"agent {name!r}: {error}") from error
-
-
-def _run(part: _Part | _Packed) -> list[tuple[int, Record]]:
-    return part.run()

@@ -14,7 +14,7 @@ from greenhouse_gym.envs.episodes import EpisodeSampler
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.learning.sb3 import make_sb3_vec_env
 from greenhouse_gym.learning.settings import PpoSettings
-from greenhouse_gym.learning.training_settings import env_options
+from greenhouse_gym.learning.training_settings import env_options, physics_of
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import SceneBank
 
@@ -91,6 +91,7 @@ def train_ppo(
         options = {
             "num_envs": min(settings.num_envs, settings.validation_episodes),
             **{name: getattr(settings, name) for name in ("bank", "robot", "difficulty", "threads", "task", "plants")},
+            **physics_of(settings),
         }
         report = TrainingReport(
             out, described, model, settings.num_envs * settings.rollout_steps, (VALIDATION_SPLIT,), options,

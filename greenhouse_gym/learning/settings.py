@@ -38,7 +38,7 @@ class PpoSettings:
         action: Action of the environment, by name or your own.
         reward: Reward of the environment, by name or your own; "path" has a planner in it.
         task: Task of the environment, by name or your own.
-        plants: "rigid", or "brush" for leaves that give way.
+        plants: "rigid", "brush" for leaves that give way, or "compliant" for the true rows of the task "harvest".
         difficulty: Difficulties of the targets.
         scene: Name of the only scene to train on; all scenes of the split if None.
         target: Index of its only tomato to train on; needs a scene.

@@ -49,4 +49,9 @@ def check_settings(settings: object) -> None:
 def env_options(settings: Any) -> dict[str, Any]:
     """Return the keywords of the environment that is trained on, except those that only the trainers know."""
     names = ("bank", "robot", "difficulty", "observation", "action", "reward", "task", "scene", "target", "plants")
-    return {name: getattr(settings, name) for name in names}
+    return {name: getattr(settings, name) for name in names} | physics_of(settings)
+
+
+def physics_of(settings: Any) -> dict[str, str]:
+    """Return the physics that the plants of a training need, as a keyword of the environment."""
+    return {"physics": "truth"} if settings.plants == "compliant" else {}

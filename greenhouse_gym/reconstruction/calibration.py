@@ -26,10 +26,9 @@ from greenhouse_gym.errors import FileFormatError, InvalidValueError
 from greenhouse_gym.geometry import Array, invert, pose, transform
 from greenhouse_gym.geometry.point_clouds import Cloud
 from greenhouse_gym.reconstruction.edge_fattening import EdgeFattening, estimate_edge_fattening
-from greenhouse_gym.reconstruction.fitting import settings_for
 from greenhouse_gym.reconstruction.icp import MIN_FACING, tukey_weights
 from greenhouse_gym.reconstruction.report import CalibrationReport
-from greenhouse_gym.reconstruction.settings import ReconstructionSettings
+from greenhouse_gym.reconstruction.settings import ReconstructionSettings, settings_for
 from greenhouse_gym.reconstruction.station_views import Calibration, CameraView, camera_view
 
 _PRIOR = np.array([0.005, 0.01, 0.01, 0.01, 0.002, 0.002, 0.002])  # one sigma: depth error, rad, m

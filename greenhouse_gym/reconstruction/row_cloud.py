@@ -17,11 +17,10 @@ from greenhouse_gym.capture.rig import Rig
 from greenhouse_gym.common.extras import needs
 from greenhouse_gym.geometry import Array, invert, transform
 from greenhouse_gym.geometry.point_clouds import Cloud, PackedCloud, exposure_failure, merge, voxel_means, voxels
-from greenhouse_gym.reconstruction.fitting import settings_for
 from greenhouse_gym.reconstruction.icp import SEE_THROUGH
 from greenhouse_gym.reconstruction.pose_graph import optimize_poses
 from greenhouse_gym.reconstruction.report import RowReport
-from greenhouse_gym.reconstruction.settings import ReconstructionSettings
+from greenhouse_gym.reconstruction.settings import ReconstructionSettings, settings_for
 from greenhouse_gym.reconstruction.station_registration import RegisteredStations, register_stations
 from greenhouse_gym.reconstruction.station_views import BLOCK, MinDepth
 

@@ -10,9 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.ndimage import binary_dilation
 
-from greenhouse_gym.export.arm import links_of
 from greenhouse_gym.export.primitives import Primitive, primitives
-from greenhouse_gym.export.xml import arm_pose
+from greenhouse_gym.export.xml import arm_pose, links_of
 from greenhouse_gym.geometry import Array, pose
 from greenhouse_gym.reporting.pages import render
 from greenhouse_gym.robots import Robot

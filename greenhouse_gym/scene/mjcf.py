@@ -225,7 +225,7 @@ def _without_obstacles(
         return _compiled(spec, scene, robot, capacity)
 
 
-_RAIL = 0.04  # metres: height of the rail that a cart slides on
+_RAIL = 0.004  # metres: height of the rail that a cart slides on
 _editing = threading.Lock()  # of the shared specifications
 
 

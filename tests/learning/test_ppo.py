@@ -36,6 +36,7 @@ from greenhouse_gym.learning.training_files import (
     read_curve,
     save_checkpoint,
 )
+from greenhouse_gym.learning.training_settings import env_options
 from greenhouse_gym.scene import SceneBank
 from greenhouse_gym.scene.bank import write_bank
 
@@ -287,3 +288,9 @@ def test_a_shipped_policy_goes_back_into_a_model(bank: SceneBank, name: str) -> 
     with pytest.raises(InvalidValueError, match=other):
         load_into(model_for(policy, replace(usual, activation=other), env), policy)
     env.close()
+
+
+def test_plants_that_give_way_are_trained_on_in_true_rows() -> None:
+    compliant = env_options(PpoSettings(task="harvest", plants="compliant"))
+    assert (compliant["plants"], compliant["physics"]) == ("compliant", "truth")
+    assert "physics" not in env_options(PpoSettings())

@@ -13,7 +13,7 @@ from greenhouse_gym.crops import grow_row
 from greenhouse_gym.geometry import invert, pose, rotation_about, rotation_angle
 from greenhouse_gym.reconstruction import ReconstructionSettings, settings_for
 from greenhouse_gym.reconstruction.calibration import calibrate_from_overlap
-from greenhouse_gym.reconstruction.fitting import foreground_cut, sensor_noise
+from greenhouse_gym.reconstruction.settings import foreground_cut, sensor_noise
 
 CAMERA = HALF.cameras["middle"]
 

@@ -9,13 +9,12 @@ from types import MappingProxyType
 
 import numpy as np
 
-from greenhouse_gym.build.scans.cloud_formats.arrays import read_npy, read_npz
 from greenhouse_gym.build.scans.cloud_formats.columns import Parts, every, fractions
 from greenhouse_gym.build.scans.cloud_formats.las import read_las
 from greenhouse_gym.build.scans.cloud_formats.native import read_e57
 from greenhouse_gym.build.scans.cloud_formats.pcd import read_pcd
 from greenhouse_gym.build.scans.cloud_formats.ply import read_ply
-from greenhouse_gym.build.scans.cloud_formats.text_table import read_text
+from greenhouse_gym.build.scans.cloud_formats.tables import read_npy, read_npz, read_text
 from greenhouse_gym.common.files import MAX_BYTES, parsing
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.geometry import Array

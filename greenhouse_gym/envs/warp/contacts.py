@@ -20,7 +20,7 @@ _LAST_STEP = 127  # later physics steps have this order in codes
 
 @lru_cache
 def collide_kernel(real: Any, lanes: int, part_threads: int) -> wp.Kernel:
-    """Return the kernel of a precision.
+    """Return the collision kernel for a type of real numbers.
 
     Args:
         real: Type of real numbers.

@@ -11,7 +11,7 @@ from greenhouse_gym.geometry.shape_arrays import BOX, CAPSULE, SPHERE
 
 @lru_cache
 def geometry(real: Any) -> SimpleNamespace:
-    """Return types and functions of a precision: ``vec3``, ``mat3``, the struct ``Shapes`` and the distances."""
+    """Return types and functions for a type of real numbers: ``vec3``, ``mat3``, ``Shapes`` and distances."""
     vec3, mat3 = wp.types.vector(3, real), wp.types.matrix((3, 3), real)
     zero, one, half, two, tiny = (real(x) for x in (0.0, 1.0, 0.5, 2.0, 1e-12))
     parallel, golden, min_axis, smallest_slope = real(1e-9), real(0.381966), real(1e-6), real(1e-20)

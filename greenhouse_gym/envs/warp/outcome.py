@@ -71,7 +71,7 @@ class Output:
 
 @lru_cache
 def observe_kernel(real: Any) -> wp.Kernel:
-    """Return the kernel of a precision."""
+    """Return the outcome kernel for a type of real numbers."""
     t = structs(real)
     vec3, Arm, Scenes, State = t.vec3, t.Arm, t.Scenes, t.State
     fresh, idle, none = FRESH, IDLE, NO_CONTACT

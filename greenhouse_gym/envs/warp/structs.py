@@ -31,7 +31,7 @@ class Cells:
 
 @lru_cache
 def structs(real: Any) -> SimpleNamespace:
-    """Return the structs of a precision; `Arm`, `Scenes` and `Draws` have the fields of the arrays they are made of."""
+    """Return the structs for a type of real numbers; `Arm`, `Scenes` and `Draws` have the fields of their arrays."""
     g = geometry(real)
     vec3, mat3 = g.vec3, g.mat3
 

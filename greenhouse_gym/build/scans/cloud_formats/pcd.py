@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.build.scans.cloud_formats.columns import Parts, every, named_parts, read_records, require_all
-from greenhouse_gym.build.scans.cloud_formats.text_table import as_declared, lines_of, numbers
+from greenhouse_gym.build.scans.cloud_formats.tables import as_declared, lines_of, numbers
 from greenhouse_gym.errors import FileFormatError
 
 _MAX_HEADER = 2**24  # bytes
