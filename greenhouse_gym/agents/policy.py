@@ -55,6 +55,8 @@ class _EnvOptions(_Part):
     action: _Choice = None
     rate: float | None = None
     task: _Choice = None
+    plants: Literal["compliant"] | None = None
+    physics: Literal["truth"] | None = None
 
 
 class Description(_Part):
