@@ -56,6 +56,8 @@ class _EnvOptions(_Part):
     action: _Choice = "joint"  # of files from before "tip_velocity" became the default
     rate: float | None = None
     task: _Choice = None
+    plants: Literal["compliant"] | None = None
+    physics: Literal["truth"] | None = None
 
 
 class Description(_Part):

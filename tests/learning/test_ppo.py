@@ -290,7 +290,12 @@ def test_a_shipped_policy_goes_back_into_a_model(bank: SceneBank, name: str) -> 
     env.close()
 
 
-def test_plants_that_give_way_are_trained_on_in_true_rows() -> None:
-    compliant = env_options(PpoSettings(task="harvest", plants="compliant"))
-    assert (compliant["plants"], compliant["physics"]) == ("compliant", "truth")
+def test_plants_that_give_way_are_trained_on_in_true_rows(tmp_path: Path) -> None:
+    usual = PpoSettings(bank="mini", task="harvest", plants="compliant", num_envs=1, rollout_steps=8, batch_size=8)
+    env = make_sb3_vec_env(1, threads=1, **env_options(usual))
+    policy = PolicyAgent.load(save_policy(make_ppo(usual, env), tmp_path / "policy"))
+    env.close()
+    harvest = {"task": "harvest", "plants": "compliant", "physics": "truth"}
+    assert harvest.items() <= policy.env_options.items()
+    assert policy.act(np.zeros(82)).shape == (7,)
     assert "physics" not in env_options(PpoSettings())
