@@ -78,7 +78,6 @@ def test_it_stops_in_time(settings: SacSettings, tmp_path: Path) -> None:
 
 
 def test_a_training_goes_on_where_it_was(settings: SacSettings, tmp_path: Path) -> None:
-    settings = replace(settings, action="joint")
     train_sac(settings, tmp_path)
     before = load_sac(tmp_path)
     check_agent(Sb3Agent(before))
