@@ -9,7 +9,7 @@ class Learned:
     """Agent around a function from observations (n, size) to actions (n, joints)."""
 
     name = "learned"
-    env_options = {"robot": "ur5e", "observation": "state", "action": "joint"}
+    env_options = {"robot": "ur5e", "observation": "state", "action": "tip_velocity"}
 
     def __init__(self, network=lambda observations: np.tanh(observations[:, 24:30])):
         self.network = network  # CleanRL: lambda x: actor(torch.as_tensor(x)).detach().numpy(); TorchRL: the same

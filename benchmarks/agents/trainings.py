@@ -45,9 +45,9 @@ class Method(NamedTuple):
     settings: Any
 
 
-SAC = SacSettings(threads=1, total_steps=120_000, validation_steps=20_000, validation_episodes=256)
+SAC = SacSettings(action="joint", threads=1, total_steps=120_000, validation_steps=20_000, validation_episodes=256)
 METHODS = {
-    "ppo": Method(train_ppo, PpoSettings(validation_steps=500_000, validation_episodes=200)),
+    "ppo": Method(train_ppo, PpoSettings(action="joint", validation_steps=500_000, validation_episodes=200)),
     "imitation": Method(train_bc_then_ppo, BcThenPpoSettings()),
     "sac": Method(train_sac, SAC),
     "sac_guided": Method(

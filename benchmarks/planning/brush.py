@@ -101,7 +101,7 @@ def speeds(rounds: int, bank: SceneBank) -> dict[str, Any]:
     result: dict[str, Any] = {"rounds": rounds, "envs": ENVS, "bank": bank.path.name}
     for physics in ("reconstruction", "truth"):
         envs = {
-            plants: GreenhouseVectorEnv(ENVS, bank=bank, physics=physics, plants=plants, threads=1)
+            plants: GreenhouseVectorEnv(ENVS, bank=bank, physics=physics, plants=plants, action="joint", threads=1)
             for plants in ("rigid", "brush")
         }
         seconds: dict[str, list[float]] = {plants: [] for plants in envs}

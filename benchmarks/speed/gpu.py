@@ -28,15 +28,16 @@ EPISODES, STEPS, SCENES = 256, 120, 24
 SIZES = (4096, 16_384, 65_536)
 """Numbers of simulations."""
 
+JOINT, TIP = {"action": "joint"}, {"action": "tip_velocity"}
 LARGE: dict[str, Any] = {"hidden": (512, 512, 512), "epochs": 2}
 COMPOSED = "composed"
 """Folder of the composed scenes."""
 
 TRAININGS: dict[str, tuple[float, dict[str, Any]]] = {
-    **{f"2x256, joint actions, seed {seed}": (55.0, {"seed": seed}) for seed in range(3)},
-    "3x512, joint actions, seed 0": (84.0, LARGE),
-    "3x512, tip actions, seed 0": (84.0, LARGE | {"action": "tip_velocity"}),
-    "3x512, tip actions, composed scenes, seed 0": (84.0, LARGE | {"action": "tip_velocity", "bank": COMPOSED}),
+    **{f"2x256, joint actions, seed {seed}": (55.0, JOINT | {"seed": seed}) for seed in range(3)},
+    "3x512, joint actions, seed 0": (84.0, LARGE | JOINT),
+    "3x512, tip actions, seed 0": (84.0, LARGE | TIP),
+    "3x512, tip actions, composed scenes, seed 0": (84.0, LARGE | TIP | {"bank": COMPOSED}),
 }
 """Seconds and settings of the trainings; those on composed scenes need ``pack --composed``."""
 
@@ -65,7 +66,7 @@ def pack(folder: Path, composed: int) -> None:
         next(t.witness[-1] for t in bank.scene(o["scene"]).targets if t.tomato == o["target"] and t.robot == "ur5e")
         for o in options
     ]
-    env = GreenhouseVectorEnv(len(options), bank=folder / "bank", threads=1)
+    env = GreenhouseVectorEnv(len(options), bank=folder / "bank", action="joint", threads=1)
     first, _ = env.reset(options=options)
     alive, hold = np.ones(len(options), dtype=bool), rng.uniform(-1, 1, (len(options), 6))
     actions, observations, rewards = [], [first], []
@@ -136,7 +137,7 @@ class Run:
 
         return gymnasium.make_vec(
             "TomatoReach-v0", num_envs=count, backend="warp", device=self.device, arrays="torch",
-            **{"bank": str(self.folder / "bank")} | settings,
+            **{"bank": str(self.folder / "bank")} | JOINT | settings,
         )  # fmt: skip
 
     def synchronize(self) -> None:

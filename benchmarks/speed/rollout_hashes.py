@@ -20,12 +20,12 @@ import numpy as np
 import greenhouse_gym  # noqa: F401  (registers the environment)
 
 VARIANTS: dict[str, tuple[int, int, dict[str, Any]]] = {  # name: simulations, steps in all, keywords
-    "single": (1, 20_000, {}),
-    "vector": (16, 20_000, {}),
-    "goal": (16, 20_000, {"observation": "goal", "reward": "sparse"}),
-    "roadmap": (16, 20_000, {"observation": "roadmap", "reward": "path"}),
+    "single": (1, 20_000, {"action": "joint"}),
+    "vector": (16, 20_000, {"action": "joint"}),
+    "goal": (16, 20_000, {"observation": "goal", "action": "joint", "reward": "sparse"}),
+    "roadmap": (16, 20_000, {"observation": "roadmap", "action": "joint", "reward": "path"}),
     "tip-truth": (16, 20_000, {"action": "tip_velocity", "physics": "truth"}),
-    "depth": (1, 1_000, {"observation": "depth"}),
+    "depth": (1, 1_000, {"observation": "depth", "action": "joint"}),
 }
 RETURNED = ("observation", "reward", "terminated", "truncated", "info")
 REPEAT = 8  # steps in one direction move the arm far enough to touch plants, itself and its limits

@@ -93,7 +93,7 @@ def bare_physics(vector: GreenhouseVectorEnv, actions: Array) -> Callable[[], No
 
 def measure(a: argparse.Namespace) -> dict[str, list[float]]:
     """Return the rates of every round by candidate."""
-    where: dict[str, Any] = {"bank": a.bank, "split": a.split}
+    where: dict[str, Any] = {"bank": a.bank, "split": a.split, "action": "joint"}
     batch: dict[str, Any] = {**where, "autoreset_mode": "SameStep", "threads": a.threads}
     actions = np.random.default_rng(0).uniform(-1, 1, (STEPS, a.num_envs, 6))
     vector = GreenhouseVectorEnv(a.num_envs, **batch)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
+from types import MappingProxyType
 from typing import Any, Protocol, cast, runtime_checkable
 
 import numpy as np
@@ -133,7 +134,8 @@ class Agent(Protocol):
 
     Attributes:
         name: Its name in tables.
-        env_options: Keywords of `gymnasium.make` for the environment that the agent needs.
+        env_options: Keywords of `gymnasium.make` for the environment that the agent needs. A keyword ``action`` of the
+            user replaces that of an agent with an attribute ``takes_other_actions = True``.
     """
 
     name: str
@@ -158,6 +160,13 @@ class NamedAgent:
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.name!r})"
+
+
+class JointAgent(NamedAgent):
+    """Base of agents that move the joints: their environment has joint actions, unless its user chooses others."""
+
+    takes_other_actions = True
+    env_options: Mapping[str, Any] = MappingProxyType({"action": "joint"})
 
 
 def check_agent(agent: object) -> None:
@@ -191,16 +200,28 @@ def check_agent(agent: object) -> None:
             )
 
 
+def takes_other_actions(agent: Agent) -> bool:
+    """Return whether an agent declares that it ``takes_other_actions`` than those of its ``env_options``."""
+    return bool(getattr(agent, "takes_other_actions", False))
+
+
+def own_options(agent: Agent, options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the keywords that an agent chooses for an environment that also gets those of ``options``."""
+    replaced = {"action"} & options.keys() if takes_other_actions(agent) else set()
+    return {key: value for key, value in agent.env_options.items() if key not in replaced}
+
+
 def options_for(agent: Agent, options: Mapping[str, Any]) -> dict[str, Any]:
     """Return the keywords of an agent's environment: its own, and further ones that do not contradict them.
 
     Raises:
         InvalidValueError: They contradict each other.
     """
-    for key, value in agent.env_options.items():
+    own = own_options(agent, options)
+    for key, value in own.items():
         if key in options and described(options[key]) != described(value):
             raise InvalidValueError(f"agent {agent.name!r} needs {key}={value!r}, got {options[key]!r}")
-    return {**options, **agent.env_options}
+    return {**options, **own}
 
 
 def action_towards(waypoint: Array, command: Array, steps: Array) -> Array:

@@ -9,18 +9,17 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.agents.agent import NamedAgent, Problem
+from greenhouse_gym.agents.agent import JointAgent, Problem
 from greenhouse_gym.agents.planner_agent import PathFollower
 from greenhouse_gym.envs.features import feature_slices
 from greenhouse_gym.envs.observations import PATH_FEATURES, TOOL_FEATURES, StateObservation
 from greenhouse_gym.planning import goal_configurations
 
 
-class RandomAgent(NamedAgent):
+class RandomAgent(JointAgent):
     """Draw every action uniformly."""
 
     name = "random"
-    env_options: Mapping[str, Any] = MappingProxyType({})
 
     def __init__(self) -> None:
         self._rng = np.random.default_rng(0)
@@ -36,14 +35,13 @@ class RandomAgent(NamedAgent):
         return np.asarray(self._rng.uniform(*self._bounds), dtype=np.float32)
 
 
-class StraightLineAgent(NamedAgent):
+class StraightLineAgent(JointAgent):
     """Move straight to the free goal configuration nearest to the start, regardless of obstacles.
 
     It needs an environment whose actions move the joints.
     """
 
     name = "straight-line"
-    env_options: Mapping[str, Any] = MappingProxyType({})
 
     def __init__(self) -> None:
         self._follower: PathFollower | None = None
@@ -61,7 +59,7 @@ class StraightLineAgent(NamedAgent):
         return self._follower.action()
 
 
-class WaypointAgent(NamedAgent):
+class WaypointAgent(JointAgent):
     """Move straight to the observed waypoint; hold still while no collision-free waypoint is known.
 
     This is what `observation="roadmap"` achieves without any learning.
@@ -69,7 +67,7 @@ class WaypointAgent(NamedAgent):
     """
 
     name = "roadmap"
-    env_options: Mapping[str, Any] = MappingProxyType({"observation": "roadmap"})
+    env_options: Mapping[str, Any] = MappingProxyType({**JointAgent.env_options, "observation": "roadmap"})
 
     def __init__(self) -> None:
         self._direction = self._path = slice(0)

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from greenhouse_gym.agents.agent import Agent, Problem, knows_truth
+from greenhouse_gym.agents.agent import Agent, Problem, knows_truth, options_for
 from greenhouse_gym.agents.named import agent_of
 from greenhouse_gym.common.extras import needs
 from greenhouse_gym.common.files import exclusive, parsing
@@ -70,7 +70,7 @@ def record_demonstrations(
     if split == "test":
         raise InvalidValueError("split 'test' is reserved for the final evaluation: choose train or validation")
     name = DATA_SET.format(agent="".join(c if c.isalnum() else "-" for c in agent.name.lower()))
-    env = make_env(split=split, **{**options, **agent.env_options})
+    env = make_env(split=split, **options_for(agent, options))
     bank = SceneBank.open(env.settings.bank)
     about = {
         "env_spec": env.settings.spec(),

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from greenhouse_gym.agents.agent import NamedAgent, Problem
+from greenhouse_gym.agents.agent import JointAgent, Problem
 from greenhouse_gym.agents.picking import (
     close_gap,
     part,
@@ -44,7 +44,7 @@ _DROPS, _FALLS = 3, 60  # actions to let go, and at most until the fruit lies st
 _ABOVE = 0.02  # metres above the rim of the crate
 
 
-class OracleHarvester(NamedAgent):
+class OracleHarvester(JointAgent):
     """Pick one fruit after the other with full knowledge of the true plants and their current poses.
 
     It plans to the nearest fruit, closes the gap, turns the fruit about its pedicel's joint, withdraws, plans to the
@@ -57,7 +57,9 @@ class OracleHarvester(NamedAgent):
     """
 
     knows_truth = True
-    env_options: Mapping[str, Any] = MappingProxyType({"task": "harvest", "plants": "compliant", "physics": "truth"})
+    env_options: Mapping[str, Any] = MappingProxyType(
+        {**JointAgent.env_options, "task": "harvest", "plants": "compliant", "physics": "truth"}
+    )
 
     def __init__(self, planner: str = "RRTConnect", name: str = "harvest-oracle"):
         self.planner, self.name = planner, name

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.agents.agent import Agent, NamedAgent, Problem, check_agent
+from greenhouse_gym.agents.agent import Agent, NamedAgent, Problem, check_agent, takes_other_actions
 from greenhouse_gym.agents.planner_agent import PlannerAgent
 from greenhouse_gym.agents.policy_agent import BEST, PolicyAgent
 from greenhouse_gym.envs import make_env
@@ -49,6 +49,7 @@ class HybridAgent(NamedAgent):
         for agent in (self._policy, self._planner):
             check_agent(agent)
         self.env_options: Mapping[str, Any] = {**self._planner.env_options, **self._policy.env_options}
+        self.takes_other_actions = "action" not in self._policy.env_options or takes_other_actions(self._policy)
         self.status = ""
         self._acting: Agent = self._policy
 

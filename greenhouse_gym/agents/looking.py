@@ -14,7 +14,7 @@ import numpy.typing as npt
 from scipy.ndimage import binary_dilation, distance_transform_edt
 from scipy.spatial.distance import cdist
 
-from greenhouse_gym.agents.agent import NamedAgent, Problem, action_towards
+from greenhouse_gym.agents.agent import JointAgent, Problem, action_towards
 from greenhouse_gym.agents.occupancy_map import wrist_camera
 from greenhouse_gym.agents.viewpoints import DEPTHS, viewpoints
 from greenhouse_gym.envs.features import feature_slices
@@ -124,7 +124,7 @@ class CarvedSpace:
         return np.asarray(MAP.centers[self._in_zone.reshape(-1)])
 
 
-class LookingAgent(NamedAgent, ABC):
+class LookingAgent(JointAgent, ABC):
     """Move from one viewpoint to the next through observed space, and take a view at each; the first at the start.
 
     It knows the carved map alone. Subclasses choose the viewpoints.
@@ -136,7 +136,7 @@ class LookingAgent(NamedAgent, ABC):
         env_options: Puts the map into the observation.
     """
 
-    env_options: Mapping[str, Any] = MappingProxyType({"observation": "task"})
+    env_options: Mapping[str, Any] = MappingProxyType({**JointAgent.env_options, "observation": "task"})
 
     def __init__(self, max_views: int | None = None) -> None:
         self._max_views = np.inf if max_views is None else check_whole("max_views", max_views, 1)

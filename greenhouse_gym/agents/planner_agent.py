@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from types import MappingProxyType
 from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.agents.agent import NamedAgent, Problem
+from greenhouse_gym.agents.agent import JointAgent, Problem
 from greenhouse_gym.envs.actions import INTERVAL, joint_steps
 from greenhouse_gym.errors import check_flag, check_whole, require_choice
 from greenhouse_gym.geometry import Array
@@ -109,7 +108,7 @@ class PathFollower:
         return next(self._actions, self._zero).astype(np.float32)
 
 
-class PlannerAgent(NamedAgent):
+class PlannerAgent(JointAgent):
     """Plan with any planner and follow the path; hold still without a path.
 
     By default it plans cautiously: away from leaves, and not deep into unknown space. Where no such path exists, or
@@ -147,8 +146,6 @@ class PlannerAgent(NamedAgent):
         UnknownNameError: No such planner, or no such parameter of it.
         InvalidValueError: The attempts are not a whole number of 1 or more.
     """
-
-    env_options: Mapping[str, Any] = MappingProxyType({})
 
     def __init__(
         self,

@@ -15,6 +15,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PositiveInt, 
 
 from greenhouse_gym.agents.goal_features import flaw_of
 from greenhouse_gym.common.files import first_fault, parsing, read_bytes, write_atomically
+from greenhouse_gym.envs import EnvSettings
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, MissingDependencyError
 
 Float32 = npt.NDArray[np.float32]
@@ -52,7 +53,7 @@ class _EnvOptions(_Part):
 
     robot: str | None = None
     observation: _Choice = None
-    action: _Choice = None
+    action: _Choice = "joint"  # of files from before "tip_velocity" became the default
     rate: float | None = None
     task: _Choice = None
     plants: Literal["compliant"] | None = None
@@ -132,7 +133,7 @@ class Policy:
                     output=self.output,  # type: ignore[arg-type]
                 ),
                 observation_layout=list(self.layout),
-                env_options=_EnvOptions(**self.env_options),
+                env_options=_EnvOptions(**{"action": EnvSettings().action, **self.env_options}),
                 weights_sha256=hashlib.sha256(content).hexdigest(),
                 training=dict(self.training),
             )

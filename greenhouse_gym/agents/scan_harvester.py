@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.agents.agent import NamedAgent, Problem, action_towards
+from greenhouse_gym.agents.agent import JointAgent, Problem, action_towards
 from greenhouse_gym.agents.picking import (
     Twist,
     close_gap,
@@ -64,7 +64,7 @@ _CLOSING, _PRESSED = 0.05, 0.0012  # m/s to a fruit, and metres by which a tip d
 _ABOVE = 0.02  # metres above the rim of the crate
 
 
-class ScanHarvester(NamedAgent):
+class ScanHarvester(JointAgent):
     """Pick the fruit that the scan shows one after the other, and follow them with the camera at the wrist.
 
     It plans in the scan to the nearest fruit, around what the camera sees and the scan lacks, closes the gap, turns the
@@ -78,7 +78,7 @@ class ScanHarvester(NamedAgent):
 
     env_options: Mapping[str, Any] = MappingProxyType(
         {
-            "task": "harvest", "plants": "compliant", "physics": "truth",
+            **JointAgent.env_options, "task": "harvest", "plants": "compliant", "physics": "truth",
             "observation": RgbObservation(DepthCamera("wrist", *IMAGE), depth=True),
         }
     )  # fmt: skip

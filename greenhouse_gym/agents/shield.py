@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.agents.agent import Agent, NamedAgent, Problem, check_agent
+from greenhouse_gym.agents.agent import Agent, NamedAgent, Problem, check_agent, takes_other_actions
 from greenhouse_gym.agents.policy_agent import BEST, PolicyAgent
 from greenhouse_gym.envs.actions import CommandLimits, TipVelocity, ToolMotion
 from greenhouse_gym.envs.state import control_timing
@@ -51,6 +51,7 @@ class ShieldedAgent(NamedAgent):
         self._agent: Agent = PolicyAgent.load(BEST) if agent is None else agent
         check_agent(self._agent)
         self.env_options: Mapping[str, Any] = dict(self._agent.env_options)
+        self.takes_other_actions = takes_other_actions(self._agent)
         self.changed = 0
         self._rng = np.random.default_rng(0)
         self._checker: CollisionChecker | None = None

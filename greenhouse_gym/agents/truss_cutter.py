@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from greenhouse_gym.agents.agent import NamedAgent, Problem
+from greenhouse_gym.agents.agent import JointAgent, Problem
 from greenhouse_gym.agents.picking import Twist, pointing, with_load
 from greenhouse_gym.agents.rehearsal import Action, Rehearsal
 from greenhouse_gym.envs.tasks.harvest import TomatoHarvest
@@ -31,7 +31,7 @@ _UP = np.array([0.0, 0.0, 1.0])
 _NO_SPIN = np.zeros(3)
 
 
-class TrussCutter(NamedAgent):
+class TrussCutter(JointAgent):
     """Cut the trusses one after the other and lay them into the crate; an oracle, like `OracleHarvester`.
 
     It plans to the front of a peduncle, closes in until the tool cuts and holds it, withdraws, plans to the crate with
@@ -44,8 +44,11 @@ class TrussCutter(NamedAgent):
 
     knows_truth = True
     env_options: Mapping[str, Any] = MappingProxyType(
-        {"task": TomatoHarvest("truss", tool="cutter"), "plants": "compliant", "physics": "truth"}
-    )
+        {
+            **JointAgent.env_options, "task": TomatoHarvest("truss", tool="cutter"), "plants": "compliant",
+            "physics": "truth",
+        }
+    )  # fmt: skip
 
     def __init__(self, planner: str = "RRTConnect", name: str = "truss-cutter"):
         self.planner, self.name = planner, name

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from greenhouse_gym.agents.agent import NamedAgent, Problem, action_towards
+from greenhouse_gym.agents.agent import JointAgent, Problem, action_towards
 from greenhouse_gym.agents.local_map import LocalMap
 from greenhouse_gym.agents.occupancy_map import wrist_reading
 from greenhouse_gym.agents.viewpoints import DEPTHS, NOISY_DEPTHS, initial_view, viewpoints, visible
@@ -69,7 +69,7 @@ _SAME = 0.05  # metres: points so near to those of an earlier look are not looke
 _INITIAL_POINT = np.array([1.0, 0.5, 0.5])  # the initial view is of the target's position, scaled by this
 
 
-class WatchfulAgent(NamedAgent):
+class WatchfulAgent(JointAgent):
     """Follow paths through observed space, and observe unknown space on them before entering it.
 
     It begins with a view of the plants. If its path leads through space that neither the scan nor its camera has
@@ -117,7 +117,9 @@ class WatchfulAgent(NamedAgent):
         self.status = ""
         self._levels = caution_levels(check_margin(margin), unexplained, depth)
         self._heed_unexplained, self._noisy = unexplained, noisy
-        self.env_options: Mapping[str, Any] = {"observation": DepthObservation(DepthCamera("wrist", *size))}
+        self.env_options: Mapping[str, Any] = {
+            **JointAgent.env_options, "observation": DepthObservation(DepthCamera("wrist", *size)),
+        }  # fmt: skip
         self._problem: Problem | None = None
         self._episode: _Episode | None = None
 

@@ -122,7 +122,7 @@ def train(out: Path, seed: int, settings: DemoSettings, report: DemoReport) -> l
         shutil.rmtree(out / "ppo", ignore_errors=True)  # of an earlier demo
         # limited by steps, not seconds, so that a busy machine trains the same policy
         ppo = DevicePpoSettings(
-            bank=settings.training_bank, sources=("own",), action="tip_velocity", difficulty=("easy",),
+            bank=settings.training_bank, sources=("own",), difficulty=("easy",),
             total_steps=settings.training_steps, seed=seed,
         )  # fmt: skip
         train_ppo_on_device(ppo, out / "ppo")

@@ -51,9 +51,9 @@ class GreenhouseEnv(EnvMixin, gymnasium.Env[Observed, npt.NDArray[np.float32]]):
 
     | ``action`` | size | an entry of 1 means |
     |---|---|---|
+    | ``tip_velocity``, the default | 6 | the tip moves at 0.5 m/s along x, y, z, then rotates at 1.6 rad/s about them |
     | ``joint`` | j | the joint's command moves by 0.08 rad |
     | ``joint_velocity`` | j | the joint's command moves at its speed limit |
-    | ``tip_velocity`` | 6 | the tip moves at 0.5 m/s along x, y, z, then rotates at 1.6 rad/s about them |
 
     Damped least squares convert tip velocities to joint velocities. Whatever the action, commands obey the joints'
     position limits (``info["position_limited"]`` counts stops) and speed limits (the whole motion is then scaled down,

@@ -88,7 +88,7 @@ class EnvSettings:
     split: str = "train"
     robot: str | Path | Robot = "ur5e"
     observation: ObservationChoice | Mapping[str, Any] = "state"
-    action: ActionChoice | Mapping[str, Any] = "joint"
+    action: ActionChoice | Mapping[str, Any] = "tip_velocity"
     reward: str | Reward | Mapping[str, Any] = "dense"
     difficulty: DifficultyChoice = ("easy", "medium", "hard")
     physics: str = "reconstruction"
@@ -173,9 +173,12 @@ class EnvSettings:
         return scene.name if known else scene  # type: ignore[union-attr]
 
     def spec(self) -> EnvSpec:
-        """Return the specification with which ``gymnasium.make`` makes an environment with these settings."""
+        """Return the specification with which ``gymnasium.make`` makes an environment with these settings.
+
+        It names the action even if that is the default, because recorded actions outlive defaults.
+        """
         found = copy.copy(gymnasium.spec(ENV_IDS[0]))
-        found.kwargs = self.keywords()
+        found.kwargs = {"action": described(self.action), **self.keywords()}
         return found
 
 

@@ -37,7 +37,7 @@ class EnvMixin:
         if spec is not None:
             spec.max_episode_steps = step_limit_of(self.settings)
             given = {name: value for name, value in spec.kwargs.items() if name != "settings"}
-            spec.kwargs = given | self.settings.keywords()  # own objects by reference, so that JSON holds it
+            spec.kwargs = given | self.settings.spec().kwargs  # own objects by reference, so that JSON holds it
         self._spec = spec
 
     def __reduce__(self) -> tuple[Any, ...]:

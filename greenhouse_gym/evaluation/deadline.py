@@ -11,9 +11,10 @@ from dataclasses import dataclass
 from functools import partial
 from queue import Empty, SimpleQueue
 from threading import TIMEOUT_MAX, Thread
+from types import MappingProxyType
 from typing import Any, ParamSpec, TypeVar
 
-from greenhouse_gym.agents.agent import Agent, knows_truth
+from greenhouse_gym.agents.agent import Agent, knows_truth, own_options
 from greenhouse_gym.agents.named import agent_of
 from greenhouse_gym.common.own_code import describe, printable
 from greenhouse_gym.errors import GreenhouseError, InvalidValueError, is_number
@@ -146,7 +147,7 @@ class AskedAgent:
     Attributes:
         agent: The agent.
         name: Its name.
-        env_options: Keywords of the environment that it needs.
+        env_options: Keywords that it chooses for the environment.
         knows_truth: True if it declares that it knows the truth.
         acts_on_many: True if it has a method ``act_many``.
     """
@@ -158,8 +159,12 @@ class AskedAgent:
     acts_on_many: bool
 
     @classmethod
-    def of(cls, agent: Agent | str) -> AskedAgent:
+    def of(cls, agent: Agent | str, options: Mapping[str, Any] = MappingProxyType({})) -> AskedAgent:
         """Ask an agent, or an agent by name.
+
+        Args:
+            agent: The agent.
+            options: Keywords of the environment that the user chooses.
 
         Raises:
             InvalidValueError: It is not an agent.
@@ -168,8 +173,8 @@ class AskedAgent:
         agent = agent_of(agent)
 
         def asked() -> AskedAgent:
-            name, options = printable(str.__str__(agent.name)), dict(agent.env_options)  # of subclasses, too
-            return cls(agent, name, options, knows_truth(agent), hasattr(agent, "act_many"))
+            name, own = printable(str.__str__(agent.name)), own_options(agent, options)  # of subclasses, too
+            return cls(agent, name, own, knows_truth(agent), hasattr(agent, "act_many"))
 
         try:
             return Deadline().call(asked)

@@ -70,6 +70,8 @@ class Entry(BaseModel):
         note: Free text, such as how it was trained and on how many seeds.
         protocol: The protocol.
         bank_sha256: Checksum of the bank's manifest.
+        action: Kind of action of the episodes, "own" for an object of the agent. Entries from before "tip_velocity"
+            became the default do not name it.
         versions: Versions of the packages that the numbers depend on.
         machine: Properties that times depend on, for each track: ``processor``, ``cores``, ``python``, ``num_envs``
             (parallel episodes in each process) and ``workers`` (processes), with keys such as ``truth: cores``. Keys
@@ -85,6 +87,7 @@ class Entry(BaseModel):
     note: str = ""
     protocol: dict[str, Any]
     bank_sha256: str
+    action: str = "joint"
     versions: dict[str, str]
     machine: dict[str, str]
     tracks: dict[str, dict[str, list[Any]]]

@@ -15,7 +15,7 @@ from greenhouse_gym.common.executors import workers_of
 from greenhouse_gym.common.files import exclusive, write_atomically
 from greenhouse_gym.common.tables import Table, number
 from greenhouse_gym.crops.crop import PlantMotion
-from greenhouse_gym.envs import Randomization
+from greenhouse_gym.envs import EnvSettings, Randomization
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.evaluation.deadline import AskedAgent
 from greenhouse_gym.evaluation.entry import HARVEST, V1, Entry, Protocol, columns_of, follows, is_current, read_entry
@@ -98,21 +98,23 @@ def submit(
     if not tracks or not set(tracks) <= set(TRACKS):
         raise InvalidValueError(f"tracks must be some of {', '.join(TRACKS)}, got {', '.join(tracks) or 'none'}")
     stem = Path(name).name.replace(":", "-").removesuffix(".json")
+    asked = AskedAgent.of(agent)
+    action = asked.env_options.get("action", EnvSettings().action)
     path = Path(out).absolute() / (f"{stem}.json" if protocol == V1 else f"{stem}.trial.json")
     fresh = Entry(
         agent=name,
         note=note,
         protocol=protocol.as_json(),
         bank_sha256=SceneBank.open(protocol.bank).sha256,
+        action=action if isinstance(action, str) else "own",
         versions=package_versions(),
         machine={},
         tracks={},
     )
     _merged(path, fresh)  # reports a damaged entry before any episode runs
-    about = fresh.model_dump(include={"agent", "protocol", "bank_sha256", "versions"}) | {
+    about = fresh.model_dump(include={"agent", "protocol", "bank_sha256", "action", "versions"}) | {
         "sha256": checksum_of(agent, name)
     }
-    asked = AskedAgent.of(agent)
     for track in tracks:
         changed = changed_rules(asked.name, asked.env_options, _settings(protocol, track))
         _check_rules(asked.name, shown_rules(changed, asked.knows_truth))
@@ -136,7 +138,8 @@ def submit(
 def replay(entry: Entry, agent: Agent, track: str, episodes: int = 10) -> list[tuple[Record, Record]]:
     """Repeat the first episodes of an entry and return pairs of its record and the new one."""
     before = entry.evaluation(track).records[:episodes]
-    now = _run(agent, entry.rules, track, len(before)).records
+    given: dict[str, Any] = {} if "action" in AskedAgent.of(agent).env_options else {"action": entry.action}
+    now = _run(agent, entry.rules, track, len(before), **given).records
     return list(zip(before, now, strict=True))
 
 
@@ -193,7 +196,7 @@ def leaderboard_table(entries: Sequence[Entry], protocol: Protocol = V1) -> str:
 def _merged(path: Path, fresh: Entry) -> Entry:
     """Return the existing entry if it can hold tracks of the fresh one, else the fresh one."""
     before = read_entry(path) if path.is_file() else fresh
-    same = ("agent", "protocol", "bank_sha256", "versions")
+    same = ("agent", "protocol", "bank_sha256", "action", "versions")
     if any(getattr(before, name) != getattr(fresh, name) for name in same):
         return fresh
     return before.model_copy(update={"note": fresh.note or before.note})
@@ -217,6 +220,7 @@ def _run(
     num_envs: int = 1,
     executor: Executor | None = None,
     journal: RecordJournal | None = None,
+    **given: Any,
 ) -> Evaluation:
     evaluation = evaluate(
         agent,
@@ -227,6 +231,7 @@ def _run(
         executor=executor,
         journal=journal,
         **_settings(protocol, track),
+        **given,
     )
     _check_rules(evaluation.agent, evaluation.rules)
     return evaluation

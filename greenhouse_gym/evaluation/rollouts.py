@@ -98,7 +98,7 @@ def evaluate(
         if not isinstance(given, kind | None):
             raise InvalidValueError(f"{name} must be an object of {kind.__name__} or None, got {given!r}")
     Deadline(timeout)  # raises before anything is run
-    asked, seed, chosen = AskedAgent.of(agent), require_seed(seed), _chosen(episodes, problems)
+    asked, seed, chosen = AskedAgent.of(agent, options), require_seed(seed), _chosen(episodes, problems)
     own = asked.env_options
     changed = changed_rules(asked.name, own, {**options, "split": split})
     ended = {} if journal is None else {k: record for k, record in journal.records.items() if k < len(chosen)}

@@ -15,7 +15,7 @@ from greenhouse_gym.envs.state import STEP_LIMIT
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.learning.sb3 import make_sb3_vec_env
 from greenhouse_gym.learning.settings import SacSettings
-from greenhouse_gym.learning.training_settings import env_options
+from greenhouse_gym.learning.training_settings import env_options, require_joint_action
 
 with needs("train"):
     import tensorboard  # noqa: F401  Stable-Baselines3 needs it, but imports it late
@@ -98,10 +98,12 @@ def make_sac(settings: SacSettings) -> Any:
 
     Raises:
         InvalidValueError: Too few random steps (hindsight needs a finished episode), guidance without an observed
-            waypoint, or a negative weight.
+            waypoint or with actions of the tip, or a negative weight.
     """
     if settings.guided and settings.observation != "goal_roadmap":
         raise InvalidValueError(f'guided needs observation="goal_roadmap", got {settings.observation!r}')
+    if settings.guided:
+        require_joint_action("guided", settings.action)
     shortest = settings.num_envs * STEP_LIMIT
     if settings.random_steps < shortest:
         raise InvalidValueError(

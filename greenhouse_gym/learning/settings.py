@@ -19,6 +19,7 @@ from greenhouse_gym.learning.training_settings import (
     Simulations,
     Threads,
     check_settings,
+    require_joint_action,
 )
 
 ACTIVATIONS = ("tanh", "relu")
@@ -71,7 +72,7 @@ class PpoSettings:
     sources: tuple[str, ...] = ()
     robot: str = "ur5e"
     observation: Choice = "state"
-    action: Choice = "joint"
+    action: Choice = "tip_velocity"
     reward: Choice = "dense"
     task: Choice = "reach"
     plants: str = "rigid"
@@ -139,7 +140,7 @@ class DevicePpoSettings:
     split: str = "train"
     sources: tuple[str, ...] = ()
     robot: str = "ur5e"
-    action: str = "joint"
+    action: str = "tip_velocity"
     difficulty: tuple[str, ...] = ("easy", "medium", "hard")
     scene: str | None = None
     target: int | None = None
@@ -210,7 +211,7 @@ class SacSettings:
     robot: str = "ur5e"
     difficulty: str | tuple[str, ...] | dict[str, float] = ("easy",)
     observation: Choice = "goal"
-    action: Choice = "joint"
+    action: Choice = "tip_velocity"
     reward: Choice = "dense"
     task: Choice = "reach"
     plants: str = "rigid"
@@ -272,8 +273,9 @@ class ImitationSettings:
 
 
 FINE_TUNING = PpoSettings(
-    observation="roadmap", log_std=-2.5, learning_rate=5e-5, batch_size=4096, epochs=4, critic_rollouts=8
-)
+    observation="roadmap", action="joint", log_std=-2.5, learning_rate=5e-5, batch_size=4096, epochs=4,
+    critic_rollouts=8,
+)  # fmt: skip
 """Settings of PPO for a policy that is already good: little noise, small steps, the critic first."""
 
 
@@ -295,3 +297,5 @@ class BcThenPpoSettings:
 
     def __post_init__(self) -> None:
         check_numbers(self)
+        if self.from_rule or self.imitation.steps:
+            require_joint_action("imitation", self.ppo.action)

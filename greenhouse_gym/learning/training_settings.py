@@ -11,6 +11,7 @@ from pydantic import Field, InstanceOf
 from greenhouse_gym.common.own_code import portable, with_absolute_path
 from greenhouse_gym.common.settings_files import check_numbers
 from greenhouse_gym.envs import Task
+from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.scene import Scene
 
 Choice: TypeAlias = str | Mapping[str, Any] | Callable[..., Any] | InstanceOf[Task]
@@ -44,6 +45,16 @@ def check_settings(settings: object) -> None:
     for name in ("observation", "action", "task"):  # that a saved policy must state
         if hasattr(settings, name):
             portable(getattr(settings, name), name)
+
+
+def require_joint_action(user: str, action: Choice) -> None:
+    """Raise an error for actions of the tip, because waypoints are configurations.
+
+    Raises:
+        InvalidValueError: The action moves the tip.
+    """
+    if action == "tip_velocity":
+        raise InvalidValueError(f'{user} follows waypoints of the joints: choose action="joint", got {action!r}')
 
 
 def env_options(settings: Any) -> dict[str, Any]:

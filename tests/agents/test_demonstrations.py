@@ -24,7 +24,7 @@ def test_minari_reads_what_was_played(bank: SceneBank, tmp_path: Path, monkeypat
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
     data = minari.load_dataset(name)
     assert data.total_episodes == 2
-    env = GreenhouseEnv(bank=bank)
+    env = GreenhouseEnv(bank=bank, action="joint")
     for k, episode in enumerate(data.iterate_episodes()):
         observation, _ = env.reset(seed=7 + k)
         np.testing.assert_array_equal(episode.observations[0], observation)
@@ -42,7 +42,7 @@ def test_observations_in_parts_are_kept_part_by_part(
     name = record_demonstrations(RandomAgent(), tmp_path, 1, seed=3, successes_only=False, step_limit=3, **options)
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
     episode = minari.load_dataset(name)[0]
-    env = GreenhouseEnv(step_limit=3, **options)
+    env = GreenhouseEnv(step_limit=3, action="joint", **options)
     seen = [env.reset(seed=3)[0], *(env.step(action)[0] for action in episode.actions)]
     env.close()
     assert isinstance(seen[0], dict)

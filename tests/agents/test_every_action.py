@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from still_agent import StillAgent
 
-from greenhouse_gym.agents import Agent, PlannerAgent, RandomAgent, StraightLineAgent
-from greenhouse_gym.agents.agent import action_towards
+from greenhouse_gym.agents import Agent, HybridAgent, PlannerAgent, RandomAgent, ShieldedAgent, StraightLineAgent
+from greenhouse_gym.agents.agent import action_towards, options_for
 from greenhouse_gym.envs.actions import ACTIONS
 from greenhouse_gym.evaluation import AgentError, compare, evaluate
 from greenhouse_gym.scene import SceneBank
@@ -38,6 +38,14 @@ def test_planned_paths_are_followed_with_every_joint_action(bank: SceneBank, act
 def test_agents_on_joint_paths_refuse_actions_of_the_tip(bank: SceneBank, agent: Agent) -> None:
     with pytest.raises(AgentError, match="action='joint' or 'joint_velocity' only, got TipVelocity"):
         evaluate(agent, episodes=1, bank=bank, action="tip_velocity")
+
+
+def test_joint_paths_are_followed_by_default(bank: SceneBank) -> None:
+    assert evaluate(PlannerAgent(), bank=bank, problems=[("made-up-0", 0)]).success_rate == 1.0
+    for agent in (PlannerAgent(), ShieldedAgent(PlannerAgent()), HybridAgent(StillAgent(), PlannerAgent())):
+        assert options_for(agent, {})["action"] == "joint"
+        assert options_for(agent, {"action": "joint_velocity"})["action"] == "joint_velocity"
+    assert "action" not in options_for(StillAgent(), {})
 
 
 def test_actions_keep_the_direction_to_a_waypoint() -> None:

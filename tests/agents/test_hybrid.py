@@ -43,5 +43,5 @@ def test_what_the_agents_need_is_needed_by_both() -> None:
     class Needy(StillAgent):
         env_options: Any = {"observation": "goal"}  # noqa: RUF012
 
-    assert HybridAgent(Needy()).env_options == {"observation": "goal"}
+    assert HybridAgent(Needy()).env_options == {"observation": "goal", "action": "joint"}
     assert HybridAgent().env_options["robot"] == "ur5e"

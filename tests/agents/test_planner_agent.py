@@ -49,7 +49,7 @@ def test_every_agent_keeps_the_protocol(scene: Scene, make: type) -> None:
 
 def test_planned_paths_are_executed_without_contact(bank: SceneBank) -> None:
     """Every target of two scenes, through the environment's steps: what the planner calls free the simulator does."""
-    env = gymnasium.make("TomatoReach-v0", bank=bank, start="upright")
+    env = gymnasium.make("TomatoReach-v0", bank=bank, start="upright", action="joint")
     agent = PlannerAgent()
     steps = []
     for name in bank.names("test"):

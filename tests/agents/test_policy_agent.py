@@ -16,6 +16,7 @@ from greenhouse_gym.agents.agent import Agent, Problem
 from greenhouse_gym.agents.goal_features import flaw_of
 from greenhouse_gym.agents.policy import Policy
 from greenhouse_gym.agents.policy_agent import BEST, PolicyAgent, shipped_policies
+from greenhouse_gym.envs import EnvSettings
 from greenhouse_gym.errors import FileFormatError, GreenhouseError, InvalidValueError, UnknownNameError
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import Scene
@@ -61,6 +62,15 @@ def test_saved_and_loaded_policies_are_equal(policy: Policy, tmp_path: Path, suf
     agent = PolicyAgent.load(tmp_path / "p-0.5.json")
     assert isinstance(agent, Agent)
     assert agent.name == "p-0.5"
+
+
+def test_a_file_states_the_action_and_without_one_it_is_of_the_joints(policy: Policy, tmp_path: Path) -> None:
+    path = policy.save(tmp_path / "p")
+    assert Policy.load(path).env_options == {"robot": "ur5e", "action": EnvSettings().action}
+    content = json.loads(path.read_text())
+    del content["env_options"]["action"]
+    path.write_text(json.dumps(content))
+    assert Policy.load(path).env_options == {"robot": "ur5e", "action": "joint"}
 
 
 def test_damaged_files_are_named(policy: Policy, tmp_path: Path) -> None:

@@ -43,7 +43,7 @@ CAMERA = DepthCamera()
 class Follower:
     """Follow the roadmap of the scan without looking."""
 
-    name, env_options = "follower", {}
+    name, env_options = "follower", {"action": "joint"}
 
     def reset(self, problem: Problem) -> None:
         compiled = compile_scene(problem.scene, problem.robot)

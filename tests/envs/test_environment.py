@@ -219,7 +219,7 @@ def drive(env: GreenhouseEnv, goal: np.ndarray, steps: int = 60) -> tuple[Any, .
 def test_reaching_the_target_is_a_success() -> None:
     tip, frame = tool_at(REACH)
     placed = scene_of([Tomato(Sphere(tip + 0.03 * frame[:, 2], 0.03), truss=0)])
-    env = make_for(placed)
+    env = make_for(placed, action="joint")
     env.reset(options={"scene": placed, "target": 0, "start": REACH - [0.0, 0.25, -0.1, 0, 0, 0]})
     _, reward, terminated, truncated, info = drive(env, REACH)
     assert (terminated, truncated) == (True, False)
@@ -355,7 +355,7 @@ def test_truth_is_simulated_while_the_reconstruction_is_observed() -> None:
 
 def test_the_arm_follows_its_commands_without_ringing() -> None:
     empty = scene_of([Tomato(Sphere([0.0, 5.0, 1.0], 0.03), truss=0)])
-    env = make_for(empty)
+    env = make_for(empty, action="joint")
     for joint in range(6):
         for sign in (1.0, -1.0):
             env.reset(options={"scene": empty, "start": "upright"})

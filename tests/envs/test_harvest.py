@@ -24,7 +24,7 @@ from greenhouse_gym.scene import SceneBank, Shapes
 from greenhouse_gym.scene.plants.layout import Crate, Layout
 
 SCENE = "own-cluster-2000-w00-02"
-OPTIONS = {"bank": "mini", "task": "harvest", "plants": "compliant", "physics": "truth", "scene": SCENE}
+OPTIONS = {"bank": "mini", "scene": SCENE, **OracleHarvester.env_options}
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,7 @@ from greenhouse_gym.robots import ROBOTS, get_robot, mount_on_rail
 
 OPTIONS: dict[str, Any] = {
     "bank": "mini", "task": "harvest", "size": "row", "plants": "compliant", "physics": "truth",
-    "scene": "helios-cherry-2006-w06-02",
+    "scene": "helios-cherry-2006-w06-02", "action": "joint",
 }  # fmt: skip
 
 

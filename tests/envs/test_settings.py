@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import gymnasium
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.envs import EnvSettings, GreenhouseEnv, GreenhouseVectorEnv
 from greenhouse_gym.errors import GreenhouseError, InvalidValueError, NoEpisodeError, UnknownKeywordError
 from greenhouse_gym.geometry import Sphere, arrays_of
+from greenhouse_gym.learning import DevicePpoSettings, PpoSettings, SacSettings
 from greenhouse_gym.motion.distance_field import obstacle_field
 from greenhouse_gym.scene import SceneBank
 
@@ -97,7 +100,7 @@ def test_joints_move_as_far_per_second_at_every_rate(rate: int) -> None:
     placed = scene_of([Tomato(Sphere([0.0, 5.0, 1.0], 0.03), truss=0)])
     ends = []
     for chosen in (20, rate):
-        env = make_for(placed, rate=chosen, step_limit=1000)
+        env = make_for(placed, rate=chosen, step_limit=1000, action="joint")
         assert env.metadata["render_fps"] == chosen
         start = env.reset(options={"scene": placed})[0][:6]
         action = np.array([0.5, 0, 0, 0, 0, 0])
@@ -132,6 +135,16 @@ def test_too_many_tomatoes_are_refused_before_they_take_room() -> None:
     many = scene_of(tomatoes).model_copy(update={"tomatoes": tuple(tomatoes * 300_000)})
     with pytest.raises(InvalidValueError, match="300000 obstacles, more than the 600 allowed"):
         make_for(scene_of(tomatoes)).reset(options={"scene": many, "target": 0})
+
+
+def test_one_default_action_everywhere_which_recordings_name(bank: SceneBank) -> None:
+    default = EnvSettings().action
+    trainings = (PpoSettings, DevicePpoSettings, SacSettings)
+    assert {settings().action for settings in trainings} == {default} == {"tip_velocity"}
+    env = gymnasium.make("TomatoReach-v0", bank=bank)
+    for spec in (env.spec, EnvSettings(bank=bank).spec()):
+        assert spec is not None
+        assert json.loads(spec.to_json())["kwargs"]["action"] == default
 
 
 def test_settings_are_frozen_and_compare_by_value() -> None:

@@ -98,13 +98,13 @@ ALL_OFF = Randomization(0.03, 0.05, 0.02, 0.01, depth_noise=True)
         {"robot": "iiwa14", "observation": "goal", "action": "tip_velocity", "reward": "sparse"},
         {"observation": "depth", "action": "joint_velocity", "randomization": ALL_OFF},
         {"observation": "roadmap", "randomization": Randomization(0.03, 0.05, 0.02, 0.01)},
-        {"robot": "iiwa14", "observation": "roadmap"},
+        {"robot": "iiwa14", "observation": "roadmap", "action": "joint"},
         {"observation": "state", "reward": "path"},
-        {"robot": "iiwa14", "observation": "points", "difficulty": {"easy": 1, "hard": 0}},
+        {"robot": "iiwa14", "observation": "points", "action": "joint", "difficulty": {"easy": 1, "hard": 0}},
     ],
 )
 def test_vector_equals_single_environments_whatever_the_kind(bank: SceneBank, keywords: dict[str, Any]) -> None:
-    size = 6 if keywords.get("robot") != "iiwa14" or keywords.get("action") == "tip_velocity" else 7
+    size = 7 if keywords.get("robot") == "iiwa14" and keywords.get("action") == "joint" else 6
     random = np.random.default_rng(1)
     drift = random.uniform(-1, 1, (3, size))
 
@@ -131,7 +131,7 @@ def test_asynchronous_workers_and_pickled_constructors(bank: SceneBank) -> None:
 
     constructor = partial(gymnasium.make, "greenhouse_gym:TomatoReach-v0", bank=str(bank.path), robot="iiwa14")
     constructor = pickle.loads(pickle.dumps(constructor))
-    actions = np.random.default_rng(3).uniform(-1, 1, (5, 2, 7)).astype(np.float32)
+    actions = np.random.default_rng(3).uniform(-1, 1, (5, 2, 6)).astype(np.float32)
     seen = []
     for make in (AsyncVectorEnv, SyncVectorEnv):
         venv = make([constructor] * 2, **({"context": "spawn"} if make is AsyncVectorEnv else {}))

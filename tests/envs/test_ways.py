@@ -129,7 +129,9 @@ def test_what_is_paid_for_the_way_depends_on_its_ends_alone(scene: Scene, observ
 
 
 def test_going_along_the_way_is_paid_and_staying_is_not(scene: Scene) -> None:
-    env = GreenhouseEnv(bank="mini", observation="roadmap", reward=PathReward(progress=1.0, time=0.0, effort=0.0))
+    env = GreenhouseEnv(
+        bank="mini", observation="roadmap", action="joint", reward=PathReward(progress=1.0, time=0.0, effort=0.0)
+    )
     seen, info = env.reset(options={"scene": scene, "target": TARGET})
     assert env.step(np.zeros(JOINTS))[1] == 0
     total, began = 0.0, left(env)

@@ -551,7 +551,8 @@ def test_the_command_shows_them(tmp_path: Path) -> None:
     code = tmp_path / "liar.py"
     code.write_text(
         "from greenhouse_gym.agents import StraightLineAgent\n"
-        "class Liar(StraightLineAgent):\n    name = 'liar'\n    env_options = {'success_radius': 1.0}\n"
+        "class Liar(StraightLineAgent):\n    name = 'liar'\n"
+        "    env_options = {'success_radius': 1.0, 'action': 'joint'}\n"
     )
     asked = [f"{code}:Liar", "straight-line", "--bank", "mini", "--episodes", "1"]
     result = CliRunner().invoke(app, ["compare", *asked])

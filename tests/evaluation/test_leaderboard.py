@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -61,6 +61,25 @@ def test_an_entry_can_be_played_again(entry: Entry) -> None:
         assert before.joint_length == pytest.approx(now.joint_length, abs=1e-5)
     still = replay(entry, StillAgent(), "truth", 1)
     assert still[0][0].joint_length != still[0][1].joint_length, "a replay by another agent is detected"
+
+
+class Dice(RandomAgent):
+    """Random agent that leaves the kind of action to the environment."""
+
+    env_options: Mapping[str, Any] = {}
+
+
+def test_an_agent_plays_again_with_the_action_of_its_entry(tmp_path: Path) -> None:
+    path = submit(Dice(), "dice", tmp_path, ["reconstruction"], replace(SHORT, episodes=1))
+    content = json.loads(path.read_text())
+    assert content["action"] == "tip_velocity"
+    ((before, now),) = replay(read_entry(path), Dice(), "reconstruction")
+    assert (before.steps, before.tip_length) == (now.steps, pytest.approx(now.tip_length, abs=1e-5))
+    del content["action"]  # as entries from before that was the default
+    path.write_text(json.dumps(content))
+    ((_, old),) = replay(read_entry(path), Dice(), "reconstruction")
+    ((_, joint),) = replay(read_entry(path), RandomAgent(), "reconstruction")
+    assert old.tip_length == joint.tip_length != now.tip_length
 
 
 def ranked(table: str) -> list[tuple[str, str]]:

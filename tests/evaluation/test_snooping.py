@@ -171,7 +171,7 @@ def test_what_is_known_of_a_scene_is_enough_to_act_in_it() -> None:
 
 
 def test_an_agent_cannot_change_the_rules_by_what_it_gets() -> None:
-    env = make_env(bank="mini", split="validation")
+    env = make_env(bank="mini", split="validation", action="joint")
     env.reset(seed=0)
     simulation = env.simulation
     problem = Problem.of(simulation, 0, 0)

@@ -58,8 +58,8 @@ def test_only_training_scenes_are_varied(bank: SceneBank, tmp_path: Path) -> Non
 
 def test_the_learner_comes_to_do_as_the_teacher_does(bank: SceneBank) -> None:
     settings = PpoSettings(bank=str(bank.path), num_envs=2, hidden=(64, 64), threads=1)
-    model = make_ppo(settings, make_sb3_vec_env(2, bank=bank, observation="roadmap", threads=1))
-    env = GreenhouseVectorEnv(4, bank=bank, observation="roadmap", threads=1, autoreset_mode="SameStep")
+    model = make_ppo(settings, make_sb3_vec_env(2, bank=bank, observation="roadmap", action="joint", threads=1))
+    env = GreenhouseVectorEnv(4, bank=bank, observation="roadmap", action="joint", threads=1, autoreset_mode="SameStep")
     told: list[dict[str, float]] = []
     imitation = ImitationSettings(steps=240, num_envs=4, round_steps=20, batch_size=64, passes=100)
     imitate(model.policy, env, imitation, on_progress=lambda steps, figures: told.append(figures))
@@ -69,7 +69,7 @@ def test_the_learner_comes_to_do_as_the_teacher_does(bank: SceneBank) -> None:
 
 def test_an_untrained_policy_can_follow_waypoints_exactly(bank: SceneBank) -> None:
     settings = PpoSettings(hidden=(24, 16))
-    env = make_sb3_vec_env(2, bank=bank, observation="roadmap", threads=1)
+    env = make_sb3_vec_env(2, bank=bank, observation="roadmap", action="joint", threads=1)
     model = make_ppo(settings, env)
     follow_waypoint(model.policy)
     seen = env.reset()
@@ -83,8 +83,8 @@ def test_an_untrained_policy_can_follow_waypoints_exactly(bank: SceneBank) -> No
 
 def test_imitation_then_ppo_leaves_a_policy_that_plays(bank: SceneBank, tmp_path: Path) -> None:
     ppo = PpoSettings(
-        bank=str(bank.path), observation="roadmap", activation="relu", num_envs=4, rollout_steps=8, batch_size=16,
-        epochs=1, total_steps=64, hidden=(16,), critic_rollouts=1, threads=1,
+        bank=str(bank.path), observation="roadmap", action="joint", activation="relu", num_envs=4, rollout_steps=8,
+        batch_size=16, epochs=1, total_steps=64, hidden=(16,), critic_rollouts=1, threads=1,
     )  # fmt: skip
     imitation = ImitationSettings(steps=32, num_envs=4, round_steps=8, batch_size=16, passes=1)
     path = train_bc_then_ppo(BcThenPpoSettings(3, imitation, ppo), tmp_path)
@@ -94,9 +94,12 @@ def test_imitation_then_ppo_leaves_a_policy_that_plays(bank: SceneBank, tmp_path
 
 
 def test_a_network_may_begin_from_nothing(bank: SceneBank, tmp_path: Path) -> None:
-    ppo = PpoSettings(bank=str(bank.path), observation="roadmap", num_envs=2, total_steps=0, hidden=(16, 16), threads=1)
+    ppo = PpoSettings(
+        bank=str(bank.path), observation="roadmap", action="joint", num_envs=2, total_steps=0, hidden=(16, 16),
+        threads=1,
+    )  # fmt: skip
     nothing = ImitationSettings(steps=0)
-    seen = make_sb3_vec_env(2, bank=bank, observation="roadmap", threads=1).reset()
+    seen = make_sb3_vec_env(2, bank=bank, observation="roadmap", action="joint", threads=1).reset()
     follows = {}
     for from_rule in (True, False):
         path = train_bc_then_ppo(BcThenPpoSettings(0, nothing, ppo, from_rule), tmp_path / str(from_rule))

@@ -86,7 +86,7 @@ def test_training_leaves_curve_checkpoint_and_policy(settings: PpoSettings, tmp_
     description = json.loads(path.read_text())
     assert description["training"]["steps"] == 128
     assert description["training"]["bank_sha256"] == SceneBank.open(settings.bank).sha256
-    assert description["env_options"] == {"robot": "ur5e", "observation": "state", "action": "joint"}
+    assert description["env_options"] == {"robot": "ur5e", "observation": "state", "action": "tip_velocity"}
     agent = PolicyAgent.load(path)
     assert agent.act(np.zeros(72)).shape == (6,)
 

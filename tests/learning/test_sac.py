@@ -129,8 +129,13 @@ def test_too_few_random_steps_are_refused(settings: SacSettings, tmp_path: Path)
     assert not list(tmp_path.iterdir())
 
 
+def test_guidance_needs_actions_of_the_joints(settings: SacSettings) -> None:
+    with pytest.raises(InvalidValueError, match='guided follows waypoints of the joints: choose action="joint"'):
+        make_sac(replace(settings, guided=True, observation="goal_roadmap"))
+
+
 def test_guided_steps_fill_the_memory_with_what_the_waypoint_says(settings: SacSettings, tmp_path: Path) -> None:
-    guided = replace(settings, observation="goal_roadmap", guided=True, reward="sparse")
+    guided = replace(settings, observation="goal_roadmap", action="joint", guided=True, reward="sparse")
     model = make_sac(guided)
     model.learn(2_100)
     kept = model.replay_buffer

@@ -30,7 +30,7 @@ def test_episodes_end_with_everything_stable_baselines_reads(bank: SceneBank) ->
     np.testing.assert_array_equal(observations[0], expected)
     total, ended = 0.0, 0
     actions = np.zeros((4, 6), dtype=np.float32)
-    actions[1:, 1] = 1.0  # the first stands still until truncated, the others fall into the plants
+    actions[1:, 0] = 1.0  # the first stands still until truncated, the others drive into the plants
     for step in range(1, 201):
         observations, rewards, dones, infos = env.step(actions)
         expected, reward, *_ = single.step(actions[0])

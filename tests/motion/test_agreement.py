@@ -18,7 +18,7 @@ from greenhouse_gym.scene.bank import write_bank
 
 def disagreements_on_the_way(bank: SceneBank, episodes: int, names: list[str]) -> tuple[int, int, int]:
     """Configurations checked, collisions among them, and disagreements, over episodes of random actions."""
-    random, env = np.random.default_rng(0), GreenhouseEnv(bank=bank)
+    random, env = np.random.default_rng(0), GreenhouseEnv(bank=bank, action="joint")
     checked = touched = wrong = 0
     for episode in range(episodes):
         env.reset(seed=episode, options={"scene": names[episode % len(names)]})
@@ -59,7 +59,7 @@ def substeps(env: GreenhouseEnv, random: np.random.Generator) -> Iterator[tuple[
 
 def disagreements_at_random(bank: SceneBank, count: int, names: list[str]) -> tuple[int, int]:
     """Collisions and disagreements over random configurations, as starts of episodes."""
-    random, env = np.random.default_rng(1), GreenhouseEnv(bank=bank)
+    random, env = np.random.default_rng(1), GreenhouseEnv(bank=bank, action="joint")
     touched = wrong = 0
     for name in names:
         env.reset(seed=0, options={"scene": name, "target": 0})

@@ -18,7 +18,7 @@ from greenhouse_gym.scene.plants import cutting
 from greenhouse_gym.scene.plants.layout import LOOSE
 from greenhouse_gym.scene.plants.live import HANGING, LOST, LivePlants
 
-OPTIONS: dict[str, Any] = {"bank": "mini", "plants": "compliant", "physics": "truth"}
+OPTIONS: dict[str, Any] = {"bank": "mini", "plants": "compliant", "physics": "truth", "action": "joint"}
 BEEFSTEAK, CHERRY = "helios-beefsteak-2001-w05-01", "helios-cherry-2005-w01-00"
 ON, OFF = np.array([0.0] * 6 + [1.0]), np.array([0.0] * 6 + [-1.0])
 

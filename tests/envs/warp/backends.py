@@ -35,7 +35,7 @@ class Comparison(NamedTuple):
 
 def compare(count: int, steps: int, seed: int = 0, precision: str | None = None, **settings: Any) -> Comparison:
     """Play ``count`` episodes with random, slow and purposeful actions on both backends."""
-    settings = {"bank": "mini", "split": "train", "robot": "ur5e"} | settings
+    settings = {"bank": "mini", "split": "train", "robot": "ur5e", "action": "joint"} | settings
     rng = np.random.default_rng(seed)
     bank = SceneBank.open(settings["bank"])
     names = bank.names(settings["split"])
