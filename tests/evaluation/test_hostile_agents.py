@@ -243,7 +243,7 @@ def test_an_agents_own_observation_or_action_ends_no_comparison(bank: SceneBank,
 
 
 @pytest.mark.parametrize(
-    "options", [{"observation": "none such"}, {"action": 3}, {"observation": ""}, {"action": lambda: None}], ids=str
+    "options", [{"observation": "none such"}, {"action": 3}, {"observation": ""}, {"action": len}], ids=str
 )
 def test_options_of_an_agent_that_cannot_be_used_end_no_comparison(bank: SceneBank, options: dict[str, Any]) -> None:
     wanting = StillAgent()
