@@ -30,7 +30,7 @@ test-rllib:
 	.venv-rllib/bin/python -m pip install --quiet --constraint constraints.txt torch
 	.venv-rllib/bin/python -m pip install --quiet --editable . "ray[rllib]==2.60.*" \
 		pytest pytest-timeout pytest-xdist hypothesis
-	.venv-rllib/bin/python -m pytest tests/integrations/test_rllib.py
+	.venv-rllib/bin/python -m pytest tests/learning/test_rllib.py
 
 lint: $(VENV)/.installed
 	$(BIN)/ruff check .

@@ -32,7 +32,7 @@ COMMANDS: Mapping[str, str] = MappingProxyType(
         "reconstruct": "reconstruct RECORDING --out OUT --points 2000 --faces 1500",
         "shapes": "shapes CLOUD --out OUT",
         "build": "build RECORDING --out OUT --name b --set max_targets=3",
-        "rate": "rate mini --robot iiwa14 --out OUT",
+        "rate": "rate mini --robot iiwa14 --out OUT --per-scene 1",
         "compose": "bank compose mini --out OUT --scenes 3",
         "brush": "brush mini --out OUT",
         "train": f"train ppo --out OUT --steps 8192 {PPO}",

@@ -90,7 +90,8 @@ def test_damaged_files_are_named(policy: Policy, tmp_path: Path) -> None:
         },
         "env_options: Field required": {k: v for k, v in content.items() if k != "env_options"},
         "observation_layout has 3 entries, the network takes 4": {**content, "observation_layout": [["a", 3]]},
-        r"env_options\.physics": {**content, "env_options": {"physics": "truth"}},
+        r"env_options\.physics": {**content, "env_options": {"physics": "moved"}},
+        r"env_options\.start": {**content, "env_options": {"start": "folded"}},
     }
     for layout, message in (
         ([["goal_features", 4]], "goal_features must be the last group of the observation_layout, with 18 entries"),

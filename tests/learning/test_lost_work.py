@@ -105,7 +105,8 @@ def test_a_training_that_is_killed_and_resumed_ends_in_the_same_policy(settings:
     for moment, resume in ((640, False), (1536, True), (2048, True), (None, True)):
         run(tmp_path / "killed", resume, moment)
     rows = [read_curve(tmp_path / name / "curve.csv") for name in ("whole", "killed")]
-    assert [{**row, "seconds": 0} for row in rows[0]] == [{**row, "seconds": 0} for row in rows[1]]
+    told = [str([{**row, "seconds": 0} for row in curve]) for curve in rows]  # in which nan equals nan
+    assert told[0] == told[1]
     assert sum(row["length"] > 0 for row in rows[0]) > 5
     whole, killed = (safetensors.torch.load_file(tmp_path / name / CHECKPOINT) for name in ("whole", "killed"))
     assert whole.keys() == killed.keys()
