@@ -7,6 +7,7 @@ import json
 import os
 import struct
 import zlib
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from greenhouse_gym.capture.formats.bag_readers import open_bag
 from greenhouse_gym.capture.formats.own import INDEX, write_recording
 from greenhouse_gym.capture.image_files import read_color, read_depth, read_image
 from greenhouse_gym.common import files as paths
-from greenhouse_gym.common.files import checked_name, read_bytes
+from greenhouse_gym.common.files import checked_name, parsing, read_bytes
 from greenhouse_gym.errors import FileFormatError, InvalidValueError
 from greenhouse_gym.scene import Scene, SceneBank, compile_scene
 from greenhouse_gym.scene.bank import write_bank
@@ -233,3 +234,36 @@ def test_scenes_have_limits(tmp_path: Path, fields: dict[str, Any], problem: str
 def test_what_is_no_capacity(capacity: Any) -> None:
     with pytest.raises(InvalidValueError, match=r"capacity must be a whole number from 1 to 30000"):
         compile_scene(make_scene(0, stems=1), capacity=capacity)
+
+
+def test_panics_of_rust_and_full_memory_are_told_like_damage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    highlevel = pytest.importorskip("rosbags.highlevel")
+
+    class PanicException(BaseException):
+        pass
+
+    with pytest.raises(FileFormatError, match="not a valid scene: PyObject pointer is null"), parsing("s", "scene"):
+        raise PanicException("PyObject pointer is null")
+    with pytest.raises(KeyboardInterrupt), parsing("s", "scene"):
+        raise KeyboardInterrupt
+
+    def fill(paths: list[Path]) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(highlevel, "AnyReader", fill)
+    with pytest.raises(FileFormatError, match="more memory than there is"), open_bag(tmp_path):
+        pass
+
+
+def test_a_command_that_fills_the_memory_ends_with_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fill() -> None:
+        raise MemoryError("Unable to allocate 1 GiB")
+
+    command_line = import_module("greenhouse_gym.cli.main")
+    monkeypatch.setattr(command_line, "app", fill)
+    with pytest.raises(SystemExit) as ended:
+        command_line.main()
+    assert ended.value.code == 1
+    assert capsys.readouterr().err == "error: there is not enough memory (Unable to allocate 1 GiB)\n"
