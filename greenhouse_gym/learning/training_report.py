@@ -135,7 +135,7 @@ class TrainingReport(BaseCallback):  # type: ignore[misc]
             [row for row in read_curve(out / name) if row["steps"] <= done] if done else []
             for name in (CURVE, VALIDATION)
         )
-        self.last_step = self.last_start = done
+        self.last_step, self.next_restart = done, self._restart_after(done)
         self.seconds_before = max((rows[-1]["seconds"] for rows in (self.rows, self.validations) if rows), default=0.0)
         self.began = self.saved = time.monotonic()
         self.lines = [*(Totals(*line) for line in read_notes(out)["lines"]), Totals()] if done else [Totals()]
@@ -144,11 +144,11 @@ class TrainingReport(BaseCallback):  # type: ignore[misc]
         self.show = self.display.enter_context(progress("steps of training", settings["total_steps"]))
 
     def _on_rollout_start(self) -> None:
-        if self.restart_steps and self.num_timesteps // self.restart_steps > self.last_start // self.restart_steps:
+        if self.restart_steps and self.num_timesteps >= self.next_restart:
             if time.monotonic() - self.saved > self.checkpoint_seconds:
                 self.save()
             restart_episodes(self.model, self.settings["seed"])
-        self.last_start = self.num_timesteps
+            self.next_restart = self._restart_after(self.num_timesteps)
 
     def _on_step(self) -> bool:
         self.show(self.num_timesteps, self.note)
@@ -168,6 +168,10 @@ class TrainingReport(BaseCallback):  # type: ignore[misc]
         if self.restart_steps is None and time.monotonic() - self.saved > self.checkpoint_seconds:
             self.save()
         return self.time_limit is None or time.monotonic() - self.began < self.time_limit
+
+    def _restart_after(self, steps: int) -> int:
+        """Return the steps of the restart after one; early ones are closer, so that a short training is saved, too."""
+        return steps + max(1, min(steps, self.restart_steps or 0))
 
     def _passed(self, interval: int) -> bool:
         """Return whether the last step has reached a multiple of an interval."""
