@@ -55,8 +55,8 @@ class PpoSettings:
         log_std: Initial logarithm of the standard deviation of the action noise.
         hidden: Sizes of the hidden layers of actor and critic.
         activation: Activation function between the layers, "tanh" or "relu".
-        restart_steps: Steps of each simulation, fewer at first, after which all begin new episodes, and a checkpoint can
-            be written from which a killed training resumes to the same policy.
+        restart_steps: Steps of each simulation, fewer at first, after which all begin new episodes, and a checkpoint
+            can be written from which a killed training resumes to the same policy.
         critic_rollouts: Rollouts at the beginning that train the critic alone, so that an untrained critic does not
             spoil a policy that is already good.
         validation_steps: Steps between validations: episodes on rows not trained on, without the policy's noise; 0 for
