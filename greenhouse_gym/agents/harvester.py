@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from greenhouse_gym.agents.agent import JointAgent, Problem
+from greenhouse_gym.agents.agent import Problem
 from greenhouse_gym.agents.picking import (
     close_gap,
     part,
@@ -20,9 +20,8 @@ from greenhouse_gym.agents.picking import (
     withdraw,
 )
 from greenhouse_gym.agents.rail import drive, parked_at, stops_of
-from greenhouse_gym.agents.rehearsal import Action, Rehearsal
+from greenhouse_gym.agents.rehearsal import Action, Rehearsal, RehearsingAgent
 from greenhouse_gym.envs.tasks.harvest import ROW_REACH
-from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import Scene
@@ -44,7 +43,7 @@ _DROPS, _FALLS = 3, 60  # actions to let go, and at most until the fruit lies st
 _ABOVE = 0.02  # metres above the rim of the crate
 
 
-class OracleHarvester(JointAgent):
+class OracleHarvester(RehearsingAgent):
     """Pick one fruit after the other with full knowledge of the true plants and their current poses.
 
     It plans to the nearest fruit, closes the gap, turns the fruit about its pedicel's joint, withdraws, plans to the
@@ -56,31 +55,12 @@ class OracleHarvester(JointAgent):
         name: Name in tables.
     """
 
-    knows_truth = True
-    env_options: Mapping[str, Any] = MappingProxyType(
-        {**JointAgent.env_options, "task": "harvest", "plants": "compliant", "physics": "truth"}
-    )
+    env_options: Mapping[str, Any] = MappingProxyType({**RehearsingAgent.env_options, "task": "harvest"})
 
     def __init__(self, planner: str = "RRTConnect", name: str = "harvest-oracle"):
-        self.planner, self.name = planner, name
-        self.status = ""
-        self._script: Iterator[Action] = iter(())
+        super().__init__(planner, name)
 
-    def reset(self, problem: Problem) -> None:
-        """Begin an episode.
-
-        Raises:
-            InvalidValueError: The environment has no compliant plants.
-        """
-        if problem.rehearsal is None:
-            raise InvalidValueError(f'agent {self.name!r} needs task="harvest" with plants="compliant"')
-        self.status, self._script = "", self._run(problem)
-
-    def act(self, observation: Any) -> Action:
-        """Return the next action."""
-        return next(self._script)
-
-    def _run(self, problem: Problem) -> Iterator[Action]:
+    def _actions(self, problem: Problem) -> Iterator[Action]:
         failures: dict[int, int] = {}
         picked = 0
         for stop in stops_of(problem.robot):
@@ -95,8 +75,6 @@ class OracleHarvester(JointAgent):
                 yield from actions
                 picked += 1
             self.status = pick.failure
-        while True:
-            yield np.append(np.zeros(len(problem.robot.joints)), -1.0).astype(np.float32)
 
 
 class _Pick:

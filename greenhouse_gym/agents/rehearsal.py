@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
+from itertools import chain, repeat
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.agents.agent import Problem
+from greenhouse_gym.agents.agent import JointAgent, Problem
 from greenhouse_gym.agents.picking import Twist, joint_change
 from greenhouse_gym.agents.planner_agent import safe_commands
 from greenhouse_gym.envs.actions import CommandLimits
@@ -27,6 +30,54 @@ Action = npt.NDArray[np.float32]
 
 _ONE = np.array([0])
 _CHECKS = 60_000  # collision checks of a plan
+
+
+class RehearsingAgent(JointAgent):
+    """Base of oracles, which know the true plants and try their actions in copies of the simulation first.
+
+    Args:
+        planner: A name in `greenhouse_gym.planning.PLANNERS`.
+        name: Name in tables.
+
+    Attributes:
+        status: Why there is nothing more to pick; empty meanwhile.
+        needs: The task that it needs, in words of an error.
+    """
+
+    needs = 'task="harvest"'
+    knows_truth = True
+    env_options: Mapping[str, Any] = MappingProxyType(
+        {**JointAgent.env_options, "plants": "compliant", "physics": "truth"}
+    )
+
+    def __init__(self, planner: str, name: str):
+        self.planner, self.name, self.status = planner, name, ""
+        self._script: Iterator[Action] | None = None
+
+    def reset(self, problem: Problem) -> None:
+        """Begin an episode.
+
+        Raises:
+            InvalidValueError: The environment has no compliant plants, or another task or tool.
+        """
+        if problem.rehearsal is None or not self._suits(Rehearsal(problem)):
+            raise InvalidValueError(f'agent {self.name!r} needs {self.needs} with plants="compliant"')
+        rest = np.append(np.zeros(len(problem.robot.joints)), -1.0).astype(np.float32)
+        self.status, self._script = "", chain(self._actions(problem), repeat(rest))
+
+    def act(self, observation: Any) -> Action:
+        """Return the next action; at the end the arm rests with an open tool."""
+        if self._script is None:
+            raise RuntimeError("reset the agent before it acts")
+        return next(self._script)
+
+    def _suits(self, rehearsal: Rehearsal) -> bool:
+        """Return whether the agent can work in an episode."""
+        return True
+
+    def _actions(self, problem: Problem) -> Iterator[Action]:
+        """Yield the actions of an episode."""
+        raise NotImplementedError
 
 
 class Rehearsal:

@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from greenhouse_gym.agents.agent import JointAgent, Problem
+from greenhouse_gym.agents.agent import Problem
 from greenhouse_gym.agents.picking import Twist, pointing, with_load
-from greenhouse_gym.agents.rehearsal import Action, Rehearsal
+from greenhouse_gym.agents.rehearsal import Action, Rehearsal, RehearsingAgent
 from greenhouse_gym.envs.tasks.harvest import TomatoHarvest
-from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.scene.plants.cutting import CutterPlants
 from greenhouse_gym.scene.plants.live import HANGING
@@ -31,7 +30,7 @@ _UP = np.array([0.0, 0.0, 1.0])
 _NO_SPIN = np.zeros(3)
 
 
-class TrussCutter(JointAgent):
+class TrussCutter(RehearsingAgent):
     """Cut the trusses one after the other and lay them into the crate; an oracle, like `OracleHarvester`.
 
     It plans to the front of a peduncle, closes in until the tool cuts and holds it, withdraws, plans to the crate with
@@ -42,34 +41,18 @@ class TrussCutter(JointAgent):
         name: Name in tables.
     """
 
-    knows_truth = True
+    needs = 'task=TomatoHarvest("truss", tool="cutter")'
     env_options: Mapping[str, Any] = MappingProxyType(
-        {
-            **JointAgent.env_options, "task": TomatoHarvest("truss", tool="cutter"), "plants": "compliant",
-            "physics": "truth",
-        }
-    )  # fmt: skip
+        {**RehearsingAgent.env_options, "task": TomatoHarvest("truss", tool="cutter")}
+    )
 
     def __init__(self, planner: str = "RRTConnect", name: str = "truss-cutter"):
-        self.planner, self.name = planner, name
-        self.status = ""
-        self._script: Iterator[Action] = iter(())
+        super().__init__(planner, name)
 
-    def reset(self, problem: Problem) -> None:
-        """Begin an episode.
+    def _suits(self, rehearsal: Rehearsal) -> bool:
+        return isinstance(rehearsal.plants, CutterPlants)
 
-        Raises:
-            InvalidValueError: The environment has no compliant plants, or the arm no cutter.
-        """
-        if problem.rehearsal is None or not isinstance(Rehearsal(problem).plants, CutterPlants):
-            raise InvalidValueError(f'agent {self.name!r} needs task=TomatoHarvest("truss", tool="cutter")')
-        self.status, self._script = "", self._run(problem)
-
-    def act(self, observation: Any) -> Action:
-        """Return the next action."""
-        return next(self._script)
-
-    def _run(self, problem: Problem) -> Iterator[Action]:
+    def _actions(self, problem: Problem) -> Iterator[Action]:
         failed: set[int] = set()
         while True:
             start = Rehearsal(problem)
@@ -80,8 +63,6 @@ class TrussCutter(JointAgent):
             if actions is None:
                 failed.add(truss)
             yield from actions or ()
-        while True:
-            yield np.append(np.zeros(len(problem.robot.joints)), -1.0).astype(np.float32)
 
     def _cut(self, problem: Problem, start: Rehearsal, truss: int) -> list[Action] | None:
         """Return the actions that bring a truss into the crate with the least harm; None without any."""

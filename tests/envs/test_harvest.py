@@ -13,8 +13,9 @@ from gymnasium.utils.env_checker import check_env
 from greenhouse_gym.agents import Problem
 from greenhouse_gym.agents.fruit_map import fitted_center
 from greenhouse_gym.agents.harvester import OracleHarvester
-from greenhouse_gym.agents.rehearsal import Rehearsal
+from greenhouse_gym.agents.rehearsal import Rehearsal, RehearsingAgent
 from greenhouse_gym.agents.scan_harvester import ScanHarvester
+from greenhouse_gym.agents.truss_cutter import TrussCutter
 from greenhouse_gym.envs import make_env, make_vec_env
 from greenhouse_gym.envs.image_observations import RgbObservation
 from greenhouse_gym.envs.tasks.harvest import COUNTED, SIZES, TomatoHarvest, ripe_targets
@@ -186,6 +187,16 @@ def test_a_scan_harvester_needs_a_harvest():
     env.reset(seed=0)
     with pytest.raises(InvalidValueError, match='needs task="harvest"'):
         ScanHarvester().reset(Problem.of(env.simulation, 0, 0))
+
+
+@pytest.mark.parametrize("agent", [OracleHarvester(), TrussCutter()], ids=lambda agent: agent.name)
+def test_an_oracle_needs_plants_that_give_way_and_a_reset(agent: RehearsingAgent):
+    env = make_env(bank="mini")
+    env.reset(seed=0)
+    with pytest.raises(InvalidValueError, match=r'needs task=.* with plants="compliant"'):
+        agent.reset(Problem.of(env.simulation, 0, 0))
+    with pytest.raises(RuntimeError, match="reset the agent"):
+        agent.act(None)
 
 
 def test_fruit_are_where_spheres_fit_their_skin():

@@ -7,7 +7,7 @@ import numpy as np
 
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.scene.obstacle_slots import build_tree
-from greenhouse_gym.scene.plants.detachment import first_geom, hold, leave_stub
+from greenhouse_gym.scene.plants.detachment import first_geom, hold, leave_stub, move_free, update_constants
 from greenhouse_gym.scene.plants.layout import ALL, CUP, LOOSE
 from greenhouse_gym.scene.plants.live import (
     CRATED,
@@ -160,11 +160,7 @@ def swap_truss(
     """
     velocity = np.zeros(6)
     mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, truss, velocity, 0)
-    joint = int(model.body_jntadr[cut])
-    at, dof = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
-    data.qpos[at : at + 3], data.qpos[at + 3 : at + 7] = data.xpos[truss], data.xquat[truss]
-    data.qvel[dof : dof + 3] = velocity[3:]
-    data.qvel[dof + 3 : dof + 6] = data.xmat[truss].reshape(3, 3).T @ velocity[:3]
+    move_free(model, data, cut, data.xpos[truss], data.xquat[truss], velocity)
     for old, new in zip((truss, *fruit), (cut, *own), strict=True):
         _copy_body(model, int(old), int(new), solid=int(model.body_geomnum[old]) if old == truss else 1)
         if old != truss:
@@ -174,9 +170,7 @@ def swap_truss(
         model.geom_rgba[first : first + int(model.body_geomnum[old]), 3] = 0.0
     model.body_pos[own] = model.body_pos[fruit]
     mujoco.mj_kinematics(model, data)
-    rules = model.eq_data.copy()
-    mujoco.mj_setConst(model, scratch)
-    model.eq_data[:] = rules
+    update_constants(model, scratch)
 
 
 def _copy_body(model: mujoco.MjModel, old: int, new: int, solid: int) -> None:

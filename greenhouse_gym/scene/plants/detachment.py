@@ -65,15 +65,38 @@ def detach(
     shape_loose(model, old, new)
     model.body_mass[loose], model.body_inertia[loose] = _mass_of(model, old, density)
     model.body_gravcomp[loose] = 0.0
-    joint = int(model.body_jntadr[loose])
-    at, dof = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
-    data.qpos[at : at + 3], data.qpos[at + 3 : at + 7] = data.geom_xpos[old], quat
-    data.qvel[dof : dof + 3] = velocity[3:]
-    data.qvel[dof + 3 : dof + 6] = data.geom_xmat[old].reshape(3, 3).T @ velocity[:3]
+    move_free(model, data, loose, data.geom_xpos[old], quat, velocity)
     data.xpos[loose], data.xquat[loose] = data.geom_xpos[old], quat
     data.geom_xpos[new], data.geom_xmat[new] = data.geom_xpos[old], data.geom_xmat[old]
     leave_stub(model, data, body)
     build_tree(model, loose)
+    update_constants(model, scratch)
+
+
+def move_free(
+    model: mujoco.MjModel, data: mujoco.MjData, body: int, position: Array, quat: Array, velocity: Array
+) -> None:
+    """Move a body with a free joint.
+
+    Args:
+        model: The model.
+        data: Its state, which is changed.
+        body: The body.
+        position: (3,) position in the world, metres.
+        quat: (4,) orientation in the world, w first.
+        velocity: (6,) velocity in the world as ``mj_objectVelocity`` returns it: rotation, rad/s, then motion, m/s.
+    """
+    matrix = np.empty(9)
+    mujoco.mju_quat2Mat(matrix, quat)
+    joint = int(model.body_jntadr[body])
+    at, dof = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
+    data.qpos[at : at + 3], data.qpos[at + 3 : at + 7] = position, quat
+    data.qvel[dof : dof + 3] = velocity[3:]
+    data.qvel[dof + 3 : dof + 6] = matrix.reshape(3, 3).T @ velocity[:3]
+
+
+def update_constants(model: mujoco.MjModel, scratch: mujoco.MjData) -> None:
+    """Compute the constants of a model whose masses or poses changed; welds stay where they are."""
     rules = model.eq_data.copy()
     mujoco.mj_setConst(model, scratch)
     model.eq_data[:] = rules  # it would move the weld of a held fruit to where both bodies are parked
