@@ -200,6 +200,7 @@ class CompliantPhysics:
             "fruit",
             "radius",
             "joint",
+            "hangs",
             "held",
             "vacuum",
             "force",

@@ -13,13 +13,16 @@ from greenhouse_gym.envs.simulation import Simulation
 from greenhouse_gym.envs.state import State
 from greenhouse_gym.geometry import Array
 
-_REACHING, _APPROACH, _CREEP = 0.45, 3.0, 0.02  # m/s at most, 1/s times the gap to the skin, and m/s at the skin
-_TURNING = 2.5  # 1/s: how fast the tool turns to the fruit; faster, its wrist meets the upper arm
+_REACHING, _APPROACH, _CREEP = 0.45, 3.0, 0.01  # m/s at most, 1/s times the gap to the skin, and m/s at the skin
+_TURNING = 2.5  # 1/s: how fast the tool turns to the fruit
+_ABOVE, _STRAIGHT = 0.4, 0.15  # slope of a path from above, and metres from the fruit at which it becomes straight
 _NEAR, _ASKEW = 0.08, 0.9  # metres from the skin at which a tool of a smaller cosine to the fruit draws back
+_ON = 0.015  # metres from the skin at which the vacuum goes on: others hang near
 _SPIN, _PULL = 0.8, 0.06  # rad/s about the joint of the pedicel, and m/s along the tool
 _LIGHT, _FIRM, _SLOWEST, _YIELDING = 1.5, 6.0, 0.1, 0.012  # N, N, fraction of the pace, and m/s per N
-_STUB, _CLEAR, _BACK = 0.02, 0.08, 0.25  # metres from skin to joint: hangs, and is near its truss; m/s away from it
-_PLANTS, _DEPTH = 0.42, 0.12  # metres: x from which a fruit is among plants, and over which that sets in
+_CLEAR, _BACK = 0.08, 0.25  # metres from its joint within which a fruit is near its truss, and m/s away from it
+_PLANTS, _DEPTH = 0.36, 0.1  # metres: x from which a fruit is among plants, and over which that sets in
+_AWAY, _ASIDE = 0.36, 0.6  # metres from the arm's axis at which fruit swing around it, and radians from the crate
 _LIFT, _RISE = 0.1, 0.15  # metres over the rim at which fruit are carried, and below that over which they only rise
 _SWING = 1.2  # rad/s around the arm
 _OVER, _INSIDE, _LET_GO = 0.06, 0.02, 0.03  # metres from the crate's middle, below its rim, and above that
@@ -36,18 +39,19 @@ def picking_rule(state: State) -> Array:
     """Return actions (n, 7), motions of the tip and the vacuum, that bring the fruit in work into the crate."""
     plants = state.plants
     held, idle = plants["held"][:, None] > 0, plants["work"][:, None] < 0
-    hangs = _length(plants["fruit"] - plants["joint"]) - plants["radius"][:, None]
+    apart = _length(plants["fruit"] - plants["joint"]) - plants["radius"][:, None]
     force = _length(plants["force"])
     ease = np.clip((_FIRM - force) / (_FIRM - _LIGHT), _SLOWEST, 1.0)
     back = np.concatenate([-_BACK * ease * state.axis, np.zeros_like(state.axis)], axis=1)
     carry, let_go = _carry(state)
+    near = _length(plants["fruit"] - state.tip) - plants["radius"][:, None] < _ON
     motion = np.select(
-        [idle, ~held, hangs < _STUB, hangs < _CLEAR],
+        [idle, ~held, plants["hangs"][:, None] > 0, apart < _CLEAR],
         [np.zeros_like(back), _reach(state), _part(state, ease), back],
         carry,
     ) / np.repeat([TIP_SPEED, TIP_TURN], 3)
     motion /= np.maximum(np.abs(motion).max(axis=1, keepdims=True), 1.0)
-    return np.concatenate([motion, np.where(idle | (held & let_go), -1.0, 1.0)], axis=1)
+    return np.concatenate([motion, np.where(np.where(held, ~let_go, near & ~idle), 1.0, -1.0)], axis=1)
 
 
 def _reach(state: State) -> Array:
@@ -58,7 +62,10 @@ def _reach(state: State) -> Array:
     cosine = (state.axis * direction).sum(axis=1, keepdims=True)
     speed = np.clip(_APPROACH * gap + _CREEP, 0.0, _REACHING) * np.clip((cosine - 0.2) / 0.6, 0.15, 1.0)
     speed = np.where((gap < _NEAR) & (cosine < _ASKEW), -0.1, speed)
-    return np.concatenate([speed * direction, _TURNING * np.cross(state.axis, direction)], axis=1)
+    # a folded arm that first went down would meet itself
+    above = offset + _UP * _ABOVE * np.maximum(0.0, _length(offset[:, :2]) - _STRAIGHT)
+    velocity = speed * above / np.maximum(_length(above), 1e-9)
+    return np.concatenate([velocity, _TURNING * np.cross(state.axis, direction)], axis=1)
 
 
 def _part(state: State, ease: Array) -> Array:
@@ -86,7 +93,8 @@ def _carry(state: State) -> tuple[Array, Array]:
     around = ((around + np.pi) % (2 * np.pi) - np.pi)[:, None]
     swing = np.clip(4 * around, -_SWING, _SWING) * free
     outward = np.stack([np.cos(bearing), np.sin(bearing), np.zeros_like(bearing)], axis=1)
-    velocity = outward * np.clip(3 * (_length(crate[:, :2]) - distance), -0.4, 0.4) * free
+    goal = np.where(np.abs(around) < _ASIDE, _length(crate[:, :2]), _AWAY)
+    velocity = outward * np.clip(3 * (goal - distance), -0.4, 0.4) * free
     velocity += np.cross(_UP, outward) * swing * distance + _UP * np.clip(4 * high, -0.3, 0.4) * (1 - among)
     velocity[:, :1] -= 0.35 * among
     aside = (crate - fruit) * [1.0, 1.0, 0.0]

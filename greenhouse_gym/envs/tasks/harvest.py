@@ -108,7 +108,8 @@ HARVEST_FEATURES: Mapping[str, Feature] = MappingProxyType(
     {
         **{name: FEATURES[name] for name in TARGET_FEATURES},
         "gripper": Feature(
-            lambda s: np.stack([s.plants["held"], s.plants["vacuum"]], axis=1), lambda r: _bounds((0, 1), (0, 1))
+            lambda s: np.stack([s.plants[name] for name in ("held", "vacuum", "hangs")], axis=1),
+            lambda r: _bounds(*[(0, 1)] * 3),
         ),
         "wrist_force": Feature(lambda s: s.plants["force"], lambda r: _bounds(*[(-MAX_FORCE, MAX_FORCE)] * 3)),
         "fruit_radius": Feature(lambda s: s.plants["radius"][:, None], lambda r: _bounds((0, 0.2))),

@@ -69,12 +69,14 @@ class Work(NamedTuple):
         point: (3,) where the tool has to go, or the middle of what it holds, metres.
         radius: Radius of what is at the point, metres.
         joint: (3,) start of the pedicel of the fruit, or the point to cut, metres.
+        hangs: True unless it came off.
     """
 
     number: int
     point: Array
     radius: float
     joint: Array
+    hangs: bool
 
 
 class LivePlants:
@@ -219,10 +221,10 @@ class LivePlants:
         if fruit < 0:
             left = np.flatnonzero(self.wanted & (self.state == HANGING))
             if not len(left):
-                return Work(-1, tip, 0.0, tip)
+                return Work(-1, tip, 0.0, tip, False)
             offsets = self.data.geom_xpos[self.model.body_geomadr[self._bodies[left]]] - tip
             fruit = int(left[(offsets * offsets).sum(axis=1).argmin()])
-        return Work(fruit, self.center(fruit), self.radius(fruit), self.joint_of(fruit))
+        return Work(fruit, self.center(fruit), self.radius(fruit), self.joint_of(fruit), self.state[fruit] == HANGING)
 
     def _catch(self) -> None:
         """Hold the nearest fruit that the cup can seal on."""
