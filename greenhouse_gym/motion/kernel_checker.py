@@ -119,11 +119,22 @@ def kernel_world(model: mujoco.MjModel) -> World | None:
         ]
     )  # fmt: skip
     planes = geoms[geoms[:, 0] == _PLANE]
-    geoms[geoms[:, 0] == _PLANE, 16:18] = 0.0  # infinite, so not a matter of boxes
-    own = slice(int(model.body_bvhadr[0]), int(model.body_bvhadr[0]) + int(model.body_bvhnum[0]))
-    nodes = np.column_stack([model.bvh_aabb[own], model.bvh_child[own], model.bvh_nodeid[own]])
-    nodes[:, 3:6] += model.geom_margin[:count].max(initial=0.0)
-    return (*own_arm, geoms, nodes, planes)
+    return (*own_arm, geoms, *_wide_tree(model, (model.geom_type == _PLANE) | ~colliding), planes)
+
+
+def _wide_tree(
+    model: mujoco.MjModel, left_out: npt.NDArray[np.bool_]
+) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int32]]:
+    """Return the tree over the other geoms of the world as `collision_kernels` wants it: boxes and children."""
+    from greenhouse_gym.motion.wide_tree_kernel import WIDTH, widen
+
+    first, count = int(model.body_bvhadr[0]), int(model.body_bvhnum[0])
+    own, margin = slice(first, first + count), model.geom_margin[: int(model.body_geomnum[0])].max(initial=0.0)
+    boxes, children = np.empty((count, 6, WIDTH), np.float32), np.empty((count, WIDTH), np.int32)
+    made = widen(
+        model.bvh_child[own], model.bvh_nodeid[own], model.bvh_aabb[own], left_out, margin, boxes, children,
+    )  # fmt: skip
+    return boxes[:made], children[:made]
 
 
 _Arm = tuple[Array, Array, npt.NDArray[np.int32]]
