@@ -206,10 +206,15 @@ def gap(world, limit, memory):
     The configuration is that of the memory, see `memory_for`. If the memory says so, the result is -1 at any distance
     below the limit, which is at least 0 then.
     """
-    joints, capsules, pairs, geoms, boxes, children, planes = world
-    q, _, frames, placed, stack, first, marks = memory
-    any_contact = first or len(marks) > 0
-    _place(joints, capsules, q, frames, placed)
+    _place(world[0], world[1], memory[0], memory[2], memory[3])
+    limit = _gap_of_arm(world, limit, memory)
+    return limit if memory[5] and limit < 0.0 else _gap_to_world(world, limit, memory)
+
+
+@inlined
+def _gap_of_arm(world, limit, memory):
+    """Return the smallest distance between parts of the arm, see `gap`."""
+    capsules, pairs, placed = world[1], world[2], memory[3]
     for p in range(len(pairs)):
         i, k = int(pairs[p, 0]), int(pairs[p, 1])
         between = (placed[i, 6] - placed[k, 6], placed[i, 7] - placed[k, 7], placed[i, 8] - placed[k, 8])
@@ -221,9 +226,18 @@ def gap(world, limit, memory):
         radius = capsules[i, 7] + capsules[k, 7] + capsules[i, 8] + capsules[k, 8]
         reach, squared = radius + limit, segments_apart(a, b, c, d)
         if reach > 0.0 and squared < reach * reach:
-            if first:
+            if memory[5]:
                 return -1.0
             limit = math.sqrt(squared) - radius
+    return limit
+
+
+@inlined
+def _gap_to_world(world, limit, memory):
+    """Return the smallest distance of the arm to the scene, see `gap`."""
+    capsules, geoms, boxes, children, planes = world[1], world[3], world[4], world[5], world[6]
+    placed, stack, first, marks = memory[3], memory[4], memory[5], memory[6]
+    any_contact = first or len(marks) > 0
     for k in range(len(capsules) - 1, -1, -1):  # the tool first: most collisions are its
         if capsules[k, 0] < 0 or len(boxes) == 0:
             continue
@@ -251,14 +265,28 @@ def gap(world, limit, memory):
     return limit
 
 
-@kernel(f"i8({WORLD}, f8[:, ::1], i8, f8, f8, f8, f8[::1], b1[::1])", writes=("gaps", "marks"))
+@inlined
+def _moved_less(one, other, limit):
+    """Return whether no end of a capsule has moved by a limit or more between two places (c, 6)."""
+    for k in range(len(one) - 1, -1, -1):
+        for end in range(0, 6, 3):
+            x, y, z = (
+                one[k, end] - other[k, end],
+                one[k, end + 1] - other[k, end + 1],
+                one[k, end + 2] - other[k, end + 2],
+            )
+            if x * x + y * y + z * z >= limit * limit:
+                return False
+    return True
+
+
+@kernel(f"i8({WORLD}, f8[:, ::1], i8, f8, f8, f8[::1], b1[::1])", writes=("gaps", "marks"))
 def smallest_gaps(
     world: World,
     configurations: Array,
     wanted: int,
     largest: float,
-    slack: float,
-    floor: float,
+    enough: float,
     gaps: Array,
     marks: npt.NDArray[np.bool_],
 ) -> int:
@@ -269,24 +297,43 @@ def smallest_gaps(
         configurations: (k, n) radians.
         wanted: `GAPS` for distances, `CONTACTS` for -1 in each collision, `FIRST` to end at the first one.
         largest: Larger distances are written as this; 0 unless distances are wanted.
-        slack: Distances that exceed the smallest one before them,
-        floor: or this if it is larger, by more than ``slack`` may be written as the largest one.
-        gaps: (k,) the result.
+        enough: Configurations are left out whose distance is more than this, as distances in earlier ones show: no
+            point of the arm has moved farther. If negative, they must exceed the smallest distance so far by its
+            amount. With inf, none is left out.
+        gaps: (k,) the result; inf for those left out.
         marks: (g,) becomes True for each geom, except planes, in contact in some configuration; (0,) to leave it out.
 
     Returns:
-        The number of configurations checked.
+        The number of configurations decided.
     """
-    memory, smallest = memory_for(world, wanted != GAPS, marks), largest
-    q = memory[0]
-    for k in range(len(configurations)):
+    count, skips, smallest = len(configurations), enough < np.inf, np.inf
+    memory = memory_for(world, wanted != GAPS and not skips, marks)
+    q, placed = memory[0], memory[3]
+    places = np.empty((count if skips else 0, len(placed), 6))
+    for k in range(count if skips else 0):
+        gaps[k] = 0.0
         for j in range(len(q)):
             q[j] = configurations[k, j]
-        limit = min(smallest + slack, largest)
-        found = gap(world, limit, memory)
-        gaps[k] = found if found < limit else largest
-        if wanted == GAPS:
-            smallest = max(min(smallest, found), floor)
-        elif wanted == FIRST and found < 0.0:
+        _place(world[0], world[1], q, memory[2], placed)
+        for i in range(len(placed)):
+            for j in range(6):
+                places[k, i, j] = placed[i, j]
+    for k in range(count):
+        if skips and gaps[k] == np.inf:
+            continue
+        for j in range(len(q)):
+            q[j] = configurations[k, j]
+        _place(world[0], world[1], q, memory[2], placed)
+        own = _gap_of_arm(world, 2.0 * largest, memory)
+        to_world = own if wanted != GAPS and own < 0.0 else _gap_to_world(world, largest, memory)
+        gaps[k] = min(own, to_world)
+        if wanted == FIRST and gaps[k] < 0.0:
             return k + 1
-    return len(configurations)
+        if skips:
+            smallest = min(smallest, gaps[k])
+            # two parts may move towards each other
+            free = min(own / 2.0, to_world) - (enough if enough >= 0.0 else max(smallest, 0.0) - enough)
+            for m in range(k + 1, count):
+                if free > 0.0 and gaps[m] != np.inf and _moved_less(places[k], places[m], free):
+                    gaps[m] = np.inf
+    return count
