@@ -267,7 +267,7 @@ def _gap_to_world(world, limit, memory):
 
 @inlined
 def _moved_less(one, other, limit):
-    """Return whether no end of a capsule has moved by a limit or more between two places (c, 6)."""
+    """Return whether no end of a capsule has moved by a limit or more between two positions (c, 6)."""
     for k in range(len(one) - 1, -1, -1):
         for end in range(0, 6, 3):
             x, y, z = (
@@ -309,7 +309,7 @@ def smallest_gaps(
     count, skips, smallest = len(configurations), enough < np.inf, np.inf
     memory = memory_for(world, wanted != GAPS and not skips, marks)
     q, placed = memory[0], memory[3]
-    places = np.empty((count if skips else 0, len(placed), 6))
+    positions = np.empty((count if skips else 0, len(placed), 6))
     for k in range(count if skips else 0):
         gaps[k] = 0.0
         for j in range(len(q)):
@@ -317,7 +317,7 @@ def smallest_gaps(
         _place(world[0], world[1], q, memory[2], placed)
         for i in range(len(placed)):
             for j in range(6):
-                places[k, i, j] = placed[i, j]
+                positions[k, i, j] = placed[i, j]
     for k in range(count):
         if skips and gaps[k] == np.inf:
             continue
@@ -334,6 +334,6 @@ def smallest_gaps(
             # two parts may move towards each other
             free = min(own / 2.0, to_world) - (enough if enough >= 0.0 else max(smallest, 0.0) - enough)
             for m in range(k + 1, count):
-                if free > 0.0 and gaps[m] != np.inf and _moved_less(places[k], places[m], free):
+                if free > 0.0 and gaps[m] != np.inf and _moved_less(positions[k], positions[m], free):
                     gaps[m] = np.inf
     return count

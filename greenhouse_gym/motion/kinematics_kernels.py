@@ -21,7 +21,7 @@ _RIGHT_ANGLE = float(np.float32(math.pi / 2))  # few bits, so that its multiples
 _REST = math.pi / 2 - _RIGHT_ANGLE + 6.123233995736766e-17  # of a right angle
 _S0, _S1, _S2, _S3, _S4, _S5, _S6 = (-1.0 / ((2 * k + 2) * (2 * k + 3)) for k in range(7))
 _C0, _C1, _C2, _C3, _C4, _C5, _C6, _C7 = (-1.0 / ((2 * k + 1) * (2 * k + 2)) for k in range(8))
-_PATIENCE, _PROGRESS = 4, 0.7
+_TRIAL, _PROGRESS = 4, 0.7
 """Iterations after which a guess is given up if its error is more than this fraction of that two iterations before: 98
 of 100 guesses that would end on the target still do, and all guesses together take half as many iterations."""
 
@@ -227,7 +227,7 @@ def bring_onto(
                 done[m] = True
                 break
             error_left = distance + weight * outside
-            if iteration >= _PATIENCE and error_left > _PROGRESS * before:
+            if iteration >= _TRIAL and error_left > _PROGRESS * before:
                 break
             before, last = last, error_left
             shrink = min(1.0, largest / max(distance, 1e-12))

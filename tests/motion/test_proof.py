@@ -76,15 +76,17 @@ def test_a_radius_is_a_distance_that_can_be_moved(scene: Scene) -> None:
 
 @pytest.mark.parametrize("robot", ["ur5e", "iiwa14"])
 def test_kernels_leave_out_only_what_is_free(shipped: Scene, robot: str) -> None:
-    """Between configurations in any order, of any distance from each other, and never the one that is nearest."""
+    """On motions and around configurations, in any order, and never the nearest one."""
     compiled = compile_scene(shipped, robot)
     model, rng = planning_model(compiled, 0), np.random.default_rng(8)
     every, world = CollisionChecker(model), kernel_world(model)
     assert world is not None
     left_out, far = 0, 0
-    for spread in np.repeat([0.02, 0.05, 0.1, 0.3], 6):
-        around = compiled.robot.start + rng.uniform(-1.2, 1.2, model.nq)
-        q = (around + rng.normal(0, spread, (60, model.nq))).clip(compiled.robot.lower, compiled.robot.upper)
+    for spread in np.repeat([0.0, 0.02, 0.1], 6):
+        a, b = (compiled.robot.start + rng.uniform(-1.2, 1.2, (2, model.nq))).clip(
+            compiled.robot.lower, compiled.robot.upper
+        )
+        q = np.linspace(a, b, 80) + rng.normal(0, spread, (80, model.nq))
         distances = gaps_in(world, q, np.inf)
         assert np.isfinite(distances).all()
         certain = gaps_in(world, q, 0.0) == np.inf
@@ -97,4 +99,4 @@ def test_kernels_leave_out_only_what_is_free(shipped: Scene, robot: str) -> None
         assert (distances[~kept] > distances.min()).all()
         far += (~kept).sum()
     assert left_out > 100
-    assert far > 60
+    assert far > 10
