@@ -10,14 +10,14 @@ import numpy as np
 
 from greenhouse_gym.envs.actions import TIP_SPEED, TIP_TURN
 from greenhouse_gym.envs.simulation import Simulation
-from greenhouse_gym.envs.state import State
+from greenhouse_gym.envs.state import Bools, State
 from greenhouse_gym.geometry import Array
 
 _REACHING, _APPROACH, _CREEP = 0.45, 3.0, 0.01  # m/s at most, 1/s times the gap to the skin, and m/s at the skin
 _TURNING = 2.5  # 1/s: how fast the tool turns to the fruit
 _ABOVE, _STRAIGHT = 0.4, 0.15  # slope of a path from above, and metres from the fruit at which it becomes straight
 _NEAR, _ASKEW = 0.08, 0.9  # metres from the skin at which a tool of a smaller cosine to the fruit draws back
-_ON = 0.015  # metres from the skin at which the vacuum goes on: others hang near
+_ON = 0.015  # metres from the skin at which the vacuum is switched on; farther away it would catch a neighbor
 _SPIN, _PULL = 0.8, 0.06  # rad/s about the joint of the pedicel, and m/s along the tool
 _LIGHT, _FIRM, _SLOWEST, _YIELDING = 1.5, 6.0, 0.1, 0.012  # N, N, fraction of the pace, and m/s per N
 _CLEAR, _BACK = 0.08, 0.25  # metres from its joint within which a fruit is near its truss, and m/s away from it
@@ -81,7 +81,7 @@ def _part(state: State, ease: Array) -> Array:
     return np.concatenate([velocity, spin], axis=1)
 
 
-def _carry(state: State) -> tuple[Array, Array]:
+def _carry(state: State) -> tuple[Array, Bools]:
     """Return twists (n, 6) out of the plants, around the arm and into the crate, and whether the fruit is there."""
     fruit, crate = state.plants["fruit"], state.plants["crate"]
     height = fruit[:, 2:] - crate[:, 2:]
@@ -103,7 +103,7 @@ def _carry(state: State) -> tuple[Array, Array]:
     over = _length(aside) < _OVER
     velocity = np.where(over, down, velocity)
     spin = np.clip(2 * np.cross(state.axis, -_UP), -0.8, 0.8) + _UP * swing
-    return np.concatenate([velocity, spin], axis=1), over & (height < _LET_GO - _INSIDE)
+    return np.concatenate([velocity, spin], axis=1), np.asarray(over & (height < _LET_GO - _INSIDE))
 
 
 def _length(vectors: Array) -> Array:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from greenhouse_gym.envs import make_env, make_vec_env
-from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.errors import InvalidValueError, UnknownNameError
 from greenhouse_gym.learning import BcThenPpoSettings, PpoSettings
 from greenhouse_gym.learning.picking_teacher import picking_labels
 from greenhouse_gym.learning.settings import ImitationSettings
@@ -48,5 +48,5 @@ def test_it_teaches_motions_of_the_tip_in_the_harvest_alone(wrong):
     ppo = PpoSettings(**{"task": "harvest", "plants": "compliant", "action": "tip_velocity"} | wrong)
     with pytest.raises(InvalidValueError, match=f"{next(iter(wrong))}="):
         BcThenPpoSettings(0, ImitationSettings(teacher="picking"), ppo, from_rule=False)
-    with pytest.raises(InvalidValueError, match="teacher"):
+    with pytest.raises(UnknownNameError, match="teacher"):
         ImitationSettings(teacher="oracle")
