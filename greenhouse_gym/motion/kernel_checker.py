@@ -52,6 +52,17 @@ class KernelChecker(CollisionChecker):
         self.checks += len(configurations)
         return ~contacts_in(self.world, configurations)
 
+    def motions_are_free(
+        self, starts: Array, ends: Array, resolution: float, inside: bool = False
+    ) -> npt.NDArray[np.bool_]:
+        """Return what `CollisionChecker.motions_are_free` does, by one call of a kernel."""
+        from greenhouse_gym.motion.motion_kernel import check_motions
+
+        a, b = (np.array(each, dtype=np.float64, order="C") for each in (starts, ends))
+        free = np.empty(len(a), dtype=np.bool_)
+        self.checks += check_motions(self.world, self.reaches, resolution, a, b, inside, free)
+        return free
+
     def _all_free(self, configurations: Array, resolution: float = math.inf) -> bool:
         from greenhouse_gym.motion.collision_kernels import FIRST
 
