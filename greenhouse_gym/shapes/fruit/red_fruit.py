@@ -27,6 +27,7 @@ RED = 0.22
 """(R - G) / (R + G) above which skin is red: about half way from leaves to ripe fruit."""
 
 _NOISE_REACH = 7.0  # radius of the smallest fruit, and of the patch that noise may fake, in standard deviations
+_MIN_VOXELS = 3.0  # radius, in voxels, of the smallest fruit whose outline the cloud resolves
 _RADIUS_STEP = 1.28  # ratio of the radii tried
 _CELL = 1 / 6  # side of the cells in which the cloud is compared with a ball, in radii
 _SPACING = 0.6  # distance between the points at which balls are laid, in radii
@@ -116,7 +117,8 @@ def find_red(surface: SurfaceCloud, found: Sequence[Sphere], settings: ShapeSett
         found: Fruit found before. A ball may cover smaller ones; `sits_on` says which.
         settings: All settings.
     """
-    smallest = np.maximum(settings.radii[0], _NOISE_REACH * surface.noises)
+    least = max(settings.radii[0], _MIN_VOXELS * settings.voxel)
+    smallest = np.maximum(least, _NOISE_REACH * surface.noises)
     red = redness(surface.colors) > RED
     here = cKDTree(surface.points)
     clear = [f for f in found if f.radius > smallest[here.query(f.center)[1]]]
