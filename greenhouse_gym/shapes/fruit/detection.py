@@ -137,9 +137,9 @@ def without_bumps(fruits: list[Fruit], settings: ShapeSettings) -> list[Fruit]:
     confidence = np.array([fruit.confidence for fruit in fruits])
     if np.count_nonzero(small) < _MIN_SMALL or confidence[small].mean() >= _MIN_MEAN:
         return fruits
-    sure = [fruit.sphere for fruit in itertools.compress(fruits, ~small & (confidence >= _CLEAR))]
+    confident = [fruit.sphere for fruit in itertools.compress(fruits, ~small & (confidence >= _CLEAR))]
     centers = np.array([fruit.sphere.center for fruit in fruits])
-    supported = nearest_shapes(centers, sure, settings.truss_spread).owner >= 0
+    supported = nearest_shapes(centers, confident, settings.truss_spread).owner >= 0
     return list(itertools.compress(fruits, ~small | supported))
 
 

@@ -117,8 +117,8 @@ def find_red(surface: SurfaceCloud, found: Sequence[Sphere], settings: ShapeSett
         found: Fruit found before. A ball may cover smaller ones; `sits_on` says which.
         settings: All settings.
     """
-    least = max(settings.radii[0], _MIN_VOXELS * settings.voxel)
-    smallest = np.maximum(least, _NOISE_REACH * surface.noises)
+    lowest = max(settings.radii[0], _MIN_VOXELS * settings.voxel)
+    smallest = np.maximum(lowest, _NOISE_REACH * surface.noises)
     red = redness(surface.colors) > RED
     here = cKDTree(surface.points)
     clear = [f for f in found if f.radius > smallest[here.query(f.center)[1]]]
