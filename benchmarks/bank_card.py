@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from benchmarks.common import parser, table
-from greenhouse_gym.build import shipped
+from greenhouse_gym.build import grown, shipped
 from greenhouse_gym.common.files import data_path, write_atomically
 from greenhouse_gym.geometry import distance_to_nearest
 from greenhouse_gym.planning import certify
@@ -105,7 +105,7 @@ def main() -> None:
             "so far, and the same command builds the others."
         )
     card = CARD.substitute(
-        rows=statistics.rows, length=shipped.ROW_LENGTH, spacing=settings.spacing,
+        rows=statistics.rows, length=grown.ROW_LENGTH, spacing=settings.spacing,
         progress=progress, primitives=settings.max_shapes, width=settings.width, reach=settings.reach,
         leaves=f"{1000 * settings.leaf_tolerance:g}", targets=settings.max_targets,
         goals=certify.GOALS, hard=certify.HARD, seeds=certify.SEEDS, most=certify.MAX_CHECKS,

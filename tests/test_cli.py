@@ -596,6 +596,12 @@ def test_no_finished_part_leaves_the_shipped_banks_as_they_are(tmp_path: Path) -
     assert not (tmp_path / "out").exists()
 
 
+def test_training_rows_keep_away_from_shipped_seeds(tmp_path: Path) -> None:
+    error = fails("bank", "grow", "--out", tmp_path / "out", "--seed", 2004)
+    assert str(error) == "seed must be 10000 or more: smaller ones are of shipped and held-out rows, got 2004"
+    assert not (tmp_path / "out").exists()
+
+
 def test_bank_info_keeps_unknown_styles_and_sources_apart(bank: SceneBank) -> None:
     printed = run("bank", "info", bank.path)
     counts = {line.split("|")[1].strip(): line.split("|")[2:] for line in printed.splitlines() if line.startswith("|")}

@@ -34,6 +34,7 @@ COMMANDS: Mapping[str, str] = MappingProxyType(
         "build": "build RECORDING --out OUT --name b --set max_targets=3",
         "rate": "rate mini --robot iiwa14 --out OUT --per-scene 1",
         "compose": "bank compose mini --out OUT --scenes 3",
+        "grow": "bank grow --rows 1 --source own --out OUT",
         "brush": "brush mini --out OUT",
         "train": f"train ppo --out OUT --steps 8192 {PPO}",
         "train-bc": f"train bc-then-ppo --out OUT {BC}",

@@ -1,4 +1,4 @@
-"""Commands on banks of scenes: info, check, show, filter, compose, export."""
+"""Commands on banks of scenes: info, check, show, filter, grow, compose, export."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def _several(kind: str) -> Any:
     return typer.Option(help=f"{kind} of the scenes to take; may be given several times; all by default.")
 
 
-app = typer.Typer(help="List, inspect, check, filter, compose and export banks of scenes.", no_args_is_help=True)
+app = typer.Typer(help="List, inspect, check, filter, grow, compose and export banks of scenes.", no_args_is_help=True)
 
 
 @app.command("list")
@@ -109,6 +109,24 @@ def filter_(
         scenes = [(scene, chosen.split_of(scene.name)) for scene in chosen]
         made = write_bank(out, scenes, name or out.resolve().name, chosen.manifest.description)
     say(f"{len(made)} of {len(opened)} scenes in {out}")
+
+
+@app.command()
+def grow(
+    out: Annotated[Path, typer.Option(help="Folder of the new bank.")],
+    rows: Annotated[int, typer.Option(min=1, help="Number of rows of a metre; each takes minutes of one core.")] = 40,
+    seed: Annotated[int, typer.Option(help="Seed of the first row; 10,000 or more.")] = 10_000,
+    source: Annotated[str | None, typer.Option(help="Only plants of this source: own or helios.")] = None,
+    processes: Annotated[int | None, typer.Option(min=1, help="Rows built at once; one per core by default.")] = None,
+) -> None:
+    """Grow new training rows, photograph and reconstruct them, and write a bank; resumes if interrupted."""
+    from greenhouse_gym.build.grown import build_training_bank, training_recordings
+    from greenhouse_gym.common import executors as parallel
+
+    recordings = list(training_recordings(rows, seed, source))
+    with parallel.processes(processes) as executor, progress("rows", rows) as on_progress:
+        bank = build_training_bank(out, recordings, executor, on_progress)
+    say(f"{len(bank)} scenes of {rows} rows in {out}")
 
 
 @app.command()
