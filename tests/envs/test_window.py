@@ -143,3 +143,8 @@ def test_of_the_scenes_drawn_from_those_asked_for_last_are_kept(
     for scene in (first, second, first, third):
         sampler.fitting(scene, ("easy",))
     assert [key[0] for key in sampler._cache] == [id(first), id(third)]
+
+
+def test_a_split_of_large_worlds_needs_a_window_sooner(small: None) -> None:
+    assert SceneWindow(names(5)).whole
+    assert not SceneWindow(names(5), largest=4).whole
