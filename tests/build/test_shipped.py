@@ -131,19 +131,22 @@ def test_a_training_bank_resumes_and_is_equal_on_any_executor(tmp_path: Path, mo
 def test_ratings_of_shipped_targets_are_found_again(count: int, planner: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Some were once unreachable only because the planner had died while they were rated.
 
-    OMPL's RRTConnect made the ratings, so it finds each again; the compiled one needs other checks, but as many in the
-    mean.
+    OMPL's RRTConnect made the ratings, so it finds each again, and the same witness but for some hard ones, found after
+    ten thousands of checks; the compiled one needs other checks, but as many in the mean.
     """
     bank = SceneBank.open("default")
     pool = [(name, target) for name in bank.names() for target in bank.scene(name).targets if target.goals]
     drawn = np.random.default_rng(count).permutation(len(pool))[:count]
     if planner == "OMPL's":
         monkeypatch.setattr(planner_run, "compiled_checker", lambda query, checker: None)
+    else:
+        monkeypatch.setattr(planner_run, "shared_worker", lambda: pytest.fail("OMPL was asked"))
     agreeing = 0
     for name, target in (pool[k] for k in drawn):
         found = certify_target(compile_scene(bank.scene(name), get_robot(target.robot)), target.tomato)
         if planner == "OMPL's":
-            assert found == target.model_copy(update={"unknown": None}), name
+            assert found.difficulty == target.difficulty, name
+            assert found == target.model_copy(update={"unknown": None}) or target.difficulty == "hard", name
         assert (found.goals, found.witness is None) == (target.goals, target.witness is None)
         agreeing += found.difficulty == target.difficulty
     assert agreeing >= 0.9 * count
