@@ -66,10 +66,22 @@ def kernel(signature: str, writes: Collection[str] = ()) -> Callable[[Function],
 
 
 def inlined(function: Function) -> Function:
-    """Decorate a helper that kernels call; it is compiled as a part of them."""
-    result: Function = numba.njit(nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)(
-        function
-    )
+    """Decorate a helper that kernels call; it is compiled as a part of them and makes no arrays.
+
+    Without numba's runtime, which counts references to arrays, a call takes nanoseconds less and compiles faster.
+    """
+    return _helper(function, runtime=False)
+
+
+def allocating(function: Function) -> Function:
+    """Decorate a helper that kernels call and that makes arrays."""
+    return _helper(function, runtime=True)
+
+
+def _helper(function: Function, runtime: bool) -> Function:
+    result: Function = numba.njit(
+        nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True, _nrt=runtime
+    )(function)
     return result
 
 

@@ -7,13 +7,13 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.motion.collision import LEAVES, CollisionChecker, clearance_model
+from greenhouse_gym.motion.collision import LEAVES, CollisionChecker, clearance_model, set_margin
 from greenhouse_gym.motion.joint_reaches import arm_reaches
-from greenhouse_gym.motion.kernel_checker import gaps_in, kernel_world
+from greenhouse_gym.motion.kernel_checker import RANGE, gaps_in, kernel_world
 from greenhouse_gym.motion.path import along_path
 from greenhouse_gym.scene.mjcf import CompiledScene
 
-CLEARANCE_RANGE = 0.1
+CLEARANCE_RANGE = RANGE
 """Largest clearance that is measured, metres."""
 
 _STEP = 0.01  # metres that any point of the arm moves between two measurements of a path's clearance
@@ -47,8 +47,9 @@ def smallest_clearance(
     Returns:
         Metres; negative inside an obstacle.
     """
-    model = clearance_model(compiled, model, target, CLEARANCE_RANGE, leaves)
+    model = clearance_model(compiled, model, target, leaves)
     configurations = _nearest(model, configurations)
+    set_margin(model, np.arange(compiled.obstacle_geoms.start, compiled.obstacle_geoms.stop), CLEARANCE_RANGE)
     checker, smallest, safe = CollisionChecker(model), CLEARANCE_RANGE, 0.0
     moved = np.abs(np.diff(configurations, axis=0, prepend=configurations[:1])) @ arm_reaches(compiled.robot)
     for configuration, motion in zip(configurations, moved.tolist(), strict=True):
@@ -65,7 +66,6 @@ def _nearest(model: mujoco.MjModel, configurations: Array) -> Array:
     world = kernel_world(model)
     if world is None:
         return configurations
-    floor = -CLEARANCE_RANGE  # the depth inside an obstacle is left to MuJoCo
-    gaps = gaps_in(world, configurations, 0.0, _SLACK, floor)
-    limit = max(gaps.min(initial=0.0), floor)
-    return configurations[(gaps < 0.0) & (gaps <= limit + _SLACK)]
+    gaps = gaps_in(world, configurations[::-1], -_SLACK)[::-1]  # most paths are narrowest at their ends
+    limit = max(gaps.min(initial=RANGE), 0.0)  # the depth inside an obstacle is left to MuJoCo
+    return configurations[(gaps < RANGE) & (gaps <= limit + _SLACK)]

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Collection, Iterable
+from collections.abc import Collection
 from functools import cached_property, lru_cache
 from itertools import pairwise
 from typing import TypeAlias
@@ -139,14 +139,13 @@ def _leave_out(compiled: CompiledScene, model: mujoco.MjModel, pairs: Collection
 
 
 def clearance_model(
-    compiled: CompiledScene, model: mujoco.MjModel, target: int, margin: float, leaves: str = LEAVES[0]
+    compiled: CompiledScene, model: mujoco.MjModel, target: int, leaves: str = LEAVES[0]
 ) -> mujoco.MjModel:
-    """Copy a model so that only contacts of the arm with obstacles other than a target count, with a margin.
+    """Copy a model so that only contacts of the arm with obstacles other than a target count.
 
     With ``leaves="brush"``, leaves do not count either.
     """
     model = with_world_at_rest(model)
-    set_margin(model, np.arange(compiled.obstacle_geoms.start, compiled.obstacle_geoms.stop), margin)
     _leave_out(compiled, model, ("fixture", "self"))
     ignored = [compiled.tomato_geom(target), *(compiled.leaf_geoms if leaves == "brush" else ())]
     pass_through(model, np.array(ignored))
@@ -192,7 +191,7 @@ class CollisionChecker:
 
     def is_free(self, configuration: npt.ArrayLike) -> bool:
         """Return whether a configuration (joints,) is collision-free."""
-        return self._all_free((configuration,))
+        return self._all_free(np.asarray(configuration, dtype=np.float64)[None])
 
     def are_free(self, configurations: Array) -> npt.NDArray[np.bool_]:
         """Return whether each of some configurations (k, joints) is collision-free, (k,)."""
@@ -204,18 +203,28 @@ class CollisionChecker:
         The result does not depend on the direction. Both ends are checked first, then the middle, the quarters, and so
         on, so that a collision is found soon.
         """
-        a, b = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
-        return self._all_free((b, a)) and self.inside_is_free(a, b, resolution)
+        return self._all_free(self._along(start, end, resolution), resolution)
 
     def inside_is_free(self, start: Array, end: Array, resolution: float) -> bool:
         """Return whether a motion between free ends is free, without checking the ends."""
-        if tuple(start) > tuple(end):  # the same direction for both, so that results are equal to the last bit
-            start, end = end, start
-        motion = end - start
-        return self._all_free(start + halving_order(self._steps(motion, resolution)) * motion)
+        return self._all_free(self._along(start, end, resolution)[2:], resolution)
 
-    def _all_free(self, configurations: Iterable[npt.ArrayLike]) -> bool:
-        """Return whether all configurations are collision-free; stop at the first collision."""
+    def _along(self, start: npt.ArrayLike, end: npt.ArrayLike, resolution: float) -> Array:
+        """Return the configurations (k, joints) to be checked on a motion, its ends first."""
+        a, b = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
+        first, last = (b, a) if tuple(a) > tuple(b) else (a, b)  # so that results are equal to the last bit
+        motion = last - first
+        fractions = halving_order(self._steps(motion, resolution))
+        configurations = np.empty((2 + len(fractions), len(a)))
+        configurations[0], configurations[1] = b, a
+        np.add(first, fractions * motion, out=configurations[2:])
+        return configurations
+
+    def _all_free(self, configurations: Array, resolution: float = math.inf) -> bool:
+        """Return whether all configurations (k, joints) are collision-free; stop at the first collision.
+
+        They are as far apart as the resolution allows, metres.
+        """
         data = self._data
         for configuration in configurations:
             self._collide(configuration)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.common.jit import inlined, kernel
+from greenhouse_gym.common.jit import allocating, inlined, kernel
 from greenhouse_gym.motion.distance_field import CELL, MAX_DEPTH, MAX_DISTANCE, ORIGIN, SHAPE
 
 Float32 = npt.NDArray[np.float32]
@@ -121,7 +121,7 @@ def _to_ellipsoid(px, py, pz, center, axes, turn):
     return -distance if f0 * f0 + (f1 * f1 + f2 * f2) < 1.0 else distance
 
 
-@inlined
+@allocating
 def _to_others(capsules, boxes, nearest):
     """Compute the signed distances from all nodes to the union of capsules and boxes, at most the largest stored one.
 

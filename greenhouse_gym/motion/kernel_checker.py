@@ -6,7 +6,7 @@ them; whatever a search finds is proven by MuJoCo afterwards.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -14,13 +14,19 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.motion.collision import CollisionChecker, halving_order
+from greenhouse_gym.motion.collision import CollisionChecker
 from greenhouse_gym.motion.proof import ProvingChecker
 from greenhouse_gym.robots.kinematics import Chain, joint_frames, tool_chain
 from greenhouse_gym.robots.robot import TIP_SITE
 
 if TYPE_CHECKING:
     from greenhouse_gym.motion.collision_kernels import World
+
+RANGE = 0.1
+"""Largest distance that is measured, metres."""
+
+FINE = 0.02
+"""Resolution up to which motions are checked by distances, metres."""
 
 _PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
 _ARM_TYPES = (int(mujoco.mjtGeom.mjGEOM_SPHERE), int(mujoco.mjtGeom.mjGEOM_CAPSULE))
@@ -46,51 +52,41 @@ class KernelChecker(CollisionChecker):
         self.checks += len(configurations)
         return ~contacts_in(self.world, configurations)
 
-    def motion_is_free(self, start: npt.ArrayLike, end: npt.ArrayLike, resolution: float) -> bool:
-        """Return what `CollisionChecker.motion_is_free` does, by one call of a kernel."""
-        a, b = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
-        first, last = (b, a) if tuple(a) > tuple(b) else (a, b)
-        motion = last - first
-        fractions = halving_order(self._steps(motion, resolution))
-        configurations = np.empty((2 + len(fractions), len(a)))
-        configurations[0], configurations[1] = b, a
-        np.add(first, fractions * motion, out=configurations[2:])
-        return self._all_free(configurations)
+    def _all_free(self, configurations: Array, resolution: float = math.inf) -> bool:
+        from greenhouse_gym.motion.collision_kernels import FIRST
 
-    def _all_free(self, configurations: Iterable[npt.ArrayLike]) -> bool:
-        from greenhouse_gym.motion.collision_kernels import FIRST, smallest_gaps
-
-        q = configurations if isinstance(configurations, np.ndarray) else np.array(tuple(configurations))
-        if not len(q):
+        if not len(configurations):
             return True
-        gaps = np.empty(len(q))
-        q = np.ascontiguousarray(q, dtype=np.float64)
-        count = smallest_gaps(self.world, q, FIRST, 0.0, 0.0, 0.0, gaps, _NO_MARKS)
+        fine = resolution <= FINE
+        count, gaps = _gaps(self.world, configurations, FIRST, RANGE if fine else 0.0, 0.0 if fine else math.inf)
         self.checks += count
         return bool(gaps[count - 1] >= 0.0)
 
 
 def contacts_in(world: World, configurations: Array) -> npt.NDArray[np.bool_]:
     """Return whether each of some configurations (k, n) is in collision, (k,)."""
-    from greenhouse_gym.motion.collision_kernels import CONTACTS, smallest_gaps
+    from greenhouse_gym.motion.collision_kernels import CONTACTS
 
-    gaps = np.empty(len(configurations))
-    q = np.ascontiguousarray(configurations, dtype=np.float64)
-    smallest_gaps(world, q, CONTACTS, 0.0, 0.0, 0.0, gaps, _NO_MARKS)
-    return gaps < 0.0
+    return _gaps(world, configurations, CONTACTS, 0.0, math.inf)[1] < 0.0
 
 
-def gaps_in(world: World, configurations: Array, largest: float, slack: float = np.inf, floor: float = 0.0) -> Array:
-    """Return the smallest distances beyond the margins in some configurations (k, n), (k,) metres.
+def gaps_in(world: World, configurations: Array, enough: float) -> Array:
+    """Return the smallest distances beyond the margins in some configurations (k, n), (k,) metres, up to `RANGE`.
 
-    Arguments are those of `greenhouse_gym.motion.collision_kernels.smallest_gaps`.
+    They are inf where ``enough`` leaves them out, see `greenhouse_gym.motion.collision_kernels.smallest_gaps`.
     """
-    from greenhouse_gym.motion.collision_kernels import GAPS, smallest_gaps
+    from greenhouse_gym.motion.collision_kernels import GAPS
+
+    return _gaps(world, configurations, GAPS, RANGE, enough)[1]
+
+
+def _gaps(world: World, configurations: Array, wanted: int, largest: float, enough: float) -> tuple[int, Array]:
+    """Return the number of configurations decided, and distances; see `collision_kernels.smallest_gaps`."""
+    from greenhouse_gym.motion.collision_kernels import smallest_gaps
 
     gaps = np.empty(len(configurations))
     q = np.ascontiguousarray(configurations, dtype=np.float64)
-    smallest_gaps(world, q, GAPS, largest, slack, floor, gaps, _NO_MARKS)
-    return gaps
+    return smallest_gaps(world, q, wanted, largest, enough, gaps, _NO_MARKS), gaps
 
 
 def search_checker(model: mujoco.MjModel, reaches: Array | None = None) -> CollisionChecker:
@@ -119,11 +115,22 @@ def kernel_world(model: mujoco.MjModel) -> World | None:
         ]
     )  # fmt: skip
     planes = geoms[geoms[:, 0] == _PLANE]
-    geoms[geoms[:, 0] == _PLANE, 16:18] = 0.0  # infinite, so not a matter of boxes
-    own = slice(int(model.body_bvhadr[0]), int(model.body_bvhadr[0]) + int(model.body_bvhnum[0]))
-    nodes = np.column_stack([model.bvh_aabb[own], model.bvh_child[own], model.bvh_nodeid[own]])
-    nodes[:, 3:6] += model.geom_margin[:count].max(initial=0.0)
-    return (*own_arm, geoms, nodes, planes)
+    return (*own_arm, geoms, *_wide_tree(model, (model.geom_type == _PLANE) | ~colliding), planes)
+
+
+def _wide_tree(
+    model: mujoco.MjModel, left_out: npt.NDArray[np.bool_]
+) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int32]]:
+    """Return the tree over the other geoms of the world as `collision_kernels` wants it: boxes and children."""
+    from greenhouse_gym.motion.wide_tree_kernel import WIDTH, widen
+
+    first, count = int(model.body_bvhadr[0]), int(model.body_bvhnum[0])
+    own, margin = slice(first, first + count), model.geom_margin[: int(model.body_geomnum[0])].max(initial=0.0)
+    boxes, children = np.empty((count, 6, WIDTH), np.float32), np.empty((count, WIDTH), np.int32)
+    made = widen(
+        model.bvh_child[own], model.bvh_nodeid[own], model.bvh_aabb[own], left_out, margin, boxes, children,
+    )  # fmt: skip
+    return boxes[:made], children[:made]
 
 
 _Arm = tuple[Array, Array, npt.NDArray[np.int32]]

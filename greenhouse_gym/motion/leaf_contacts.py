@@ -47,7 +47,7 @@ class LeafContacts:
             from greenhouse_gym.motion.collision_kernels import GAPS, smallest_gaps
 
             q, gaps = np.ascontiguousarray(configurations, dtype=np.float64), np.empty(len(configurations))
-            smallest_gaps(self._world, q, GAPS, 0.0, 0.0, 0.0, gaps, hit)
+            smallest_gaps(self._world, q, GAPS, 0.0, np.inf, gaps, hit)
         else:
             with self._lock:
                 for configuration in configurations:

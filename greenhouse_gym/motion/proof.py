@@ -9,6 +9,7 @@ Environments, 2005).
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Collection
 from functools import cached_property
 
@@ -16,21 +17,13 @@ import mujoco
 import numpy as np
 
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.motion.collision import (
-    COLLISION_PAIRS,
-    LEAVES,
-    CollisionChecker,
-    Leaves,
-    halving_order,
-    planning_model,
-)
+from greenhouse_gym.motion.collision import COLLISION_PAIRS, LEAVES, CollisionChecker, Leaves, planning_model
 from greenhouse_gym.motion.joint_reaches import arm_reaches
 from greenhouse_gym.scene.mjcf import CompiledScene
 
 LOOK_AHEAD = 0.04
 """Range of distance queries beyond the margins (m). With a larger one they would always report the adjacent link."""
 
-_RANGE = 0.1  # the same for kernels, metres
 _TOLERANCE = 1e-4  # metres: distances closer to the margin than this are decided by the exact model
 
 
@@ -66,47 +59,38 @@ class ProvingChecker(CollisionChecker):
         model.pair_margin += LOOK_AHEAD
         return model
 
-    def inside_is_free(self, start: Array, end: Array, resolution: float) -> bool:
-        """Return whether a motion between free ends is free."""
-        if resolution > LOOK_AHEAD / 2:
-            return super().inside_is_free(start, end, resolution)
-        if tuple(start) > tuple(end):
-            start, end = end, start
-        motion = end - start
-        fractions = halving_order(self._steps(motion, resolution))[:, 0]
-        moved = float(self.reaches @ np.abs(motion)) * fractions
-        gaps = self._gaps(start + fractions[:, None] * motion)
-        undecided = np.arange(len(fractions))
-        while len(undecided):
-            first = undecided[0]
-            radius = self._free_radius(start + fractions[first] * motion, None if gaps is None else gaps[first])
+    def _all_free(self, configurations: Array, resolution: float = math.inf) -> bool:
+        from greenhouse_gym.motion.kernel_checker import FINE, KernelChecker, gaps_in
+
+        if resolution > FINE:
+            return super()._all_free(configurations)
+        left, by_kernels = np.arange(len(configurations)), isinstance(self.search, KernelChecker)
+        if isinstance(self.search, KernelChecker):
+            left = np.flatnonzero(gaps_in(self.search.world, configurations, _TOLERANCE) < np.inf)
+        while len(left):
+            first, left = left[0], left[1:]
+            radius = self._free_radius(configurations[first], by_kernels)
             if radius is None:
                 self.checks += int(first) + 1
                 return False
-            undecided = undecided[1:]
-            undecided = undecided[np.abs(moved[undecided] - moved[first]) >= radius]
-        self.checks += len(fractions)
+            if radius > 0.0:
+                left = left[np.abs(configurations[left] - configurations[first]) @ self.reaches >= radius]
+        self.checks += len(configurations)
         return True
 
-    def _gaps(self, configurations: Array) -> Array | None:
-        """Return smallest distances beyond the margins (k,) by kernels, metres; None if they cannot compute them."""
-        from greenhouse_gym.motion.kernel_checker import KernelChecker, gaps_in
-
-        return gaps_in(self.search.world, configurations, _RANGE) if isinstance(self.search, KernelChecker) else None
-
-    def _free_radius(self, configuration: Array, gap: float | None) -> float | None:
+    def _free_radius(self, configuration: Array, exact: bool = False) -> float | None:
         """Return how far the points of the arm may move without a contact, metres; None if there is one already.
 
-        ``gap`` is the smallest distance beyond the margins if it is known.
+        With ``exact``, the distance to the next contact is not measured, and the result is 0 or None.
         """
-        model, data = self.model, self._data
+        model, data, gap = self.model, self._data, 0.0
         self._qpos[:] = configuration
         mujoco.mj_kinematics(model, data)
-        if gap is None:
+        if not exact:
             mujoco.mj_collision(self._wide_model, data)
             contacts = data.contact
             gap = LOOK_AHEAD + float((contacts.dist - contacts.includemargin).min(initial=0.0))
             if gap > _TOLERANCE:
                 return gap - _TOLERANCE
         mujoco.mj_collision(model, data)
-        return None if data.ncon else max(gap - _TOLERANCE, 0.0)
+        return None if data.ncon else 0.0
