@@ -156,7 +156,7 @@ def knows_truth(agent: Agent) -> bool:
 def knows_scene(agent: Agent) -> bool:
     """Return whether an agent may use the whole reconstruction; False if it declares that it acts on its observation.
 
-    The leaderboard tells these apart. The observation of such an agent holds no plan.
+    The leaderboard keeps both kinds apart. The observation of such an agent holds no plan.
     """
     return bool(getattr(agent, "knows_scene", True))
 

@@ -1,4 +1,4 @@
-"""Where to cut a piece of a leaf in two, compiled."""
+"""Choice of the cut through a piece of a leaf, compiled."""
 
 from __future__ import annotations
 

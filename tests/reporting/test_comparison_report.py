@@ -281,7 +281,7 @@ def test_the_leaderboard_has_a_page_too(tmp_path: Path) -> None:
         (tmp_path / f"{name[:5]}.json").write_text(json.dumps({**entry, "agent": name}))
     run("leaderboard", tmp_path, "--report", out)
     html = out.read_text()
-    assert "<h1>Leaderboard, protocol v1</h1>" in html
+    assert "<h1>Leaderboard, protocol v2</h1>" in html
     assert "random: dice" in html
     assert "gone.py:Agent is not shown in 3-D: gone.py: there is no such file" in html
     assert [[m["name"] for m in data_of(f)["motions"]] for f in frames(html)] == [["random", STILL]] * 4  # type: ignore[attr-defined]
