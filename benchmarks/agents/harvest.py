@@ -2,6 +2,7 @@
 
 python -m benchmarks.agents.harvest --sizes pick stand --episodes 100 --workdir /tmp/harvest
 python -m benchmarks.agents.harvest --agent harvest-scan --sizes stand --episodes 100 --workdir /tmp/harvest
+python -m benchmarks.agents.harvest --agent ppo-pick-ur5e --sizes pick --episodes 200 --seed 20000
 python -m benchmarks.agents.harvest --sizes row --episodes 10 --workdir /tmp/harvest
 python -m benchmarks.agents.harvest --agent truss-cutter --sizes truss --episodes 20 --workdir /tmp/harvest
 python -m benchmarks.agents.harvest --bank mini --split train --sizes pick --episodes 4 --results /tmp/harvest.json
@@ -33,7 +34,7 @@ def main() -> None:
     """Harvest, print and write the figures."""
     command = parser(__doc__)
     command.add_argument(
-        "--agent", choices=("harvest-oracle", "harvest-scan", "truss-cutter"), default="harvest-oracle"
+        "--agent", choices=("harvest-oracle", "harvest-scan", "truss-cutter", "ppo-pick-ur5e"), default="harvest-oracle"
     )
     command.add_argument("--bank", default="default")
     command.add_argument("--split", default="test")

@@ -50,6 +50,7 @@ _CARRIED = tuple(
 )  # on the way to the crate
 _DELIVERIES = 8  # plans to the crate, in the latter half through leaves
 _BLOCKED = 9.0  # N: pull at a held fruit that stops the arm on its way back
+_RESISTED = 0.03  # radians: something unseen keeps a joint from where its servo pulls it; in free motion up to 0.02
 _STOPPED = 4.0  # N: pull at a held fruit that stops the arm on its way to the crate
 _FIRST = 3  # levels of the first try of a fruit
 _PLANS, _LOOKS = 3, 4  # plans of an approach, and actions until it looks again for what is in its way
@@ -242,7 +243,10 @@ class _Harvest:
             done += 1
             if (not trailing and self._stops(change)) or (vacuum and np.linalg.norm(hand.force) > _BLOCKED):
                 return
+            resisted = hand.resisted
             yield self._action(change, vacuum)
+            if hand.resisted > max(resisted, _RESISTED):
+                return
 
     def _above_crate(self) -> Array:
         return np.asarray(self._hand.crate + self._hand.turn @ np.append(spot(self._picked), _ABOVE))
@@ -252,7 +256,7 @@ class _Harvest:
         hand = self._hand
         for twist in gently(hand, twists):
             change = hand.towards(twist)
-            blocked = hand.deflection > _PRESSED and not hand.holds
+            blocked = (hand.deflection > _PRESSED and not hand.holds) or hand.resisted > _RESISTED
             if blocked or self._stops(change):
                 return
             yield self._action(change, True)
@@ -263,7 +267,7 @@ class _Harvest:
         return not self._stand.is_free(command + change) and self._stand.is_free(command)
 
     def _follow(self, commands: list[Array], vacuum: bool, watching: bool = False) -> Generator[Action, None, bool]:
-        """Follow commands until something is in the way; return whether the end is reached.
+        """Follow commands until something is in the way, from which the arm goes back; return whether it gets there.
 
         Args:
             commands: The commands.
@@ -275,6 +279,9 @@ class _Harvest:
                 return False
             self._trail.append(self._hand.command)
             yield self._action(command - self._hand.command, vacuum)
+            if self._hand.resisted > _RESISTED:
+                yield from self._retrace(vacuum, _BACK)
+                return False
             if vacuum and (not self._hand.holds or np.linalg.norm(self._hand.force) > _STOPPED):
                 return False
         return True

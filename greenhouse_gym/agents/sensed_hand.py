@@ -47,6 +47,7 @@ class SensedHand:
         holds: Whether the cup holds a fruit.
         crate: (3,) middle of the crate's rim in the scene, metres.
         deflection: Metres by which something keeps the tip from where its servos pull it.
+        resisted: Radians by which something keeps a joint from where its servo pulls it.
     """
 
     def __init__(self, problem: Problem, image: tuple[int, int]):
@@ -78,6 +79,7 @@ class SensedHand:
         # a servo in motion lags; what is left of its error is what something presses against
         pressed = value("command_error") - robot.lag * value("joint_velocity")
         self.deflection = float(self.tip[1] @ self._state.jacobian[0] @ pressed)
+        self.resisted = float(np.abs(pressed).max())
         self.holds = value("gripper")[0] > 0
         self._force = self.turn @ value("wrist_force")
         self.crate = self.tip[0] + self.turn @ value("crate_offset")

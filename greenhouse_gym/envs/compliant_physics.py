@@ -195,7 +195,20 @@ class CompliantPhysics:
                     sim.data.xpos[plants.planted.ids.crate] + [0.0, 0.0, 2 * self._layout.crate.half_extents[2]],
                 )
             )  # fmt: skip
-        names = ("work", "fruit", "radius", "held", "vacuum", "force", "left", "wanted", *Felt._fields[1:], "crate")
+        names = (
+            "work",
+            "fruit",
+            "radius",
+            "joint",
+            "hangs",
+            "held",
+            "vacuum",
+            "force",
+            "left",
+            "wanted",
+            *Felt._fields[1:],
+            "crate",
+        )
         return {
             name: np.array(column, dtype=np.float64)
             for name, column in zip(names, zip(*rows, strict=True), strict=True)

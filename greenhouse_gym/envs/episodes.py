@@ -28,6 +28,9 @@ DifficultyChoice: TypeAlias = str | Iterable[str] | Mapping[str, float]
 LARGEST_WHOLE = 300
 """Maximum number of scenes of a split without a window."""
 
+LARGEST_COMPLIANT = 60
+"""The same where plants are compliant: a true row and its organs take 26 MB."""
+
 WINDOW = 24
 """Number of scenes in the window."""
 
@@ -67,17 +70,19 @@ class SceneWindow:
 
     Args:
         names: Names of all scenes.
+        largest: Maximum number of scenes that are drawn from as a whole; `LARGEST_WHOLE` by default.
     """
 
-    def __init__(self, names: Sequence[str]):
+    def __init__(self, names: Sequence[str], largest: int | None = None):
         self._names = names
+        self._largest = LARGEST_WHOLE if largest is None else largest
         self._order: np.ndarray[tuple[int], np.dtype[np.int64]] | None = None
         self._draws = 0
 
     @property
     def whole(self) -> bool:
         """True if the split is small enough to be drawn from as a whole."""
-        return len(self._names) <= LARGEST_WHOLE
+        return len(self._names) <= self._largest
 
     def restart(self, seed: int) -> None:
         """Begin a new round in the order given by a seed."""
@@ -111,6 +116,7 @@ class EpisodeSampler:
         start: Start configuration, as in the options of a reset; the arm's default if None.
         scene: The only scene, as in the options of a reset; each episode draws one if None.
         target: Its only target, as in the options of a reset; each episode draws one if None.
+        largest: Maximum number of scenes that are drawn from as a whole.
 
     Raises:
         UnknownNameError: The split, the scene, a difficulty or a start does not exist.
@@ -126,6 +132,7 @@ class EpisodeSampler:
         start: str | Sequence[float] | None = None,
         scene: str | Scene | None = None,
         target: int | None = None,
+        largest: int | None = None,
     ):
         self.bank = SceneBank.open(bank)
         self.split = require_choice("split", split, SPLITS)
@@ -143,7 +150,7 @@ class EpisodeSampler:
             raise InvalidValueError(
                 f"bank {self.bank.path} has no scene in split {split!r}; choices: {', '.join(filled) or '(none)'}"
             )
-        self._window = SceneWindow(self._names)
+        self._window = SceneWindow(self._names, largest)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> EpisodeSampler:
         """Return an independent sampler that shares the bank."""

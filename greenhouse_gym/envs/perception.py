@@ -144,7 +144,7 @@ class Perception:
         plants = dict(physics.felt(ids))
         if plants:  # the fruit in work is the target, wherever it hangs now
             origin, axes = frame[:, None, :3], self._axes[ids]
-            for name in ("fruit", "crate"):
+            for name in ("fruit", "joint", "crate"):
                 plants[name] = ((plants[name][:, None] - origin) @ axes)[:, 0]
             plants["force"] = (plants["force"][:, None] @ axes)[:, 0]
             target, goal, radius = plants["fruit"].copy(), plants["fruit"].copy(), plants["radius"][:, None]

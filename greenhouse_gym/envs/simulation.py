@@ -17,7 +17,7 @@ from greenhouse_gym.envs.choices import make_action, make_observation, make_rewa
 from greenhouse_gym.envs.compliant_physics import CompliantPhysics, CompliantSimulation
 from greenhouse_gym.envs.contacts import Contacts
 from greenhouse_gym.envs.episode_counts import EpisodeCounts
-from greenhouse_gym.envs.episodes import Episode, EpisodeSampler
+from greenhouse_gym.envs.episodes import LARGEST_COMPLIANT, Episode, EpisodeSampler
 from greenhouse_gym.envs.observations import Observed, check_goals
 from greenhouse_gym.envs.perception import Perception
 from greenhouse_gym.envs.physics import AnyPhysics, Physics
@@ -77,8 +77,9 @@ class Simulation:
         self._checked = outcome_check(self.task)
         self.robot = robot = get_robot(settings.robot)
         self.sampler = EpisodeSampler(
-            settings.bank, settings.split, robot, settings.difficulty, settings.start, settings.scene, settings.target
-        )
+            settings.bank, settings.split, robot, settings.difficulty, settings.start, settings.scene, settings.target,
+            LARGEST_COMPLIANT if compliant else None,
+        )  # fmt: skip
         self.observe = make_observation(settings.observation, robot, self.task)
         if compliant and self.task.camera:
             raise InvalidValueError("the camera of a task does not see plants that move: choose other plants")

@@ -74,6 +74,8 @@ PLANTS: Mapping[str, str] = MappingProxyType(
         "work": "number of the fruit in work: the held one, else the nearest one to be picked; -1 without one",
         "fruit": "(3,) its middle in the base frame, metres; the tip without one",
         "radius": "its radius, metres",
+        "joint": "(3,) start of its pedicel on the truss, metres; with a cutter the point to cut",
+        "hangs": "1 while it hangs on its pedicel or peduncle",
         "held": "1 while the cup holds a fruit",
         "vacuum": "reading of the vacuum: 1 at rest on a fruit, falling to 0 at the force at which the cup lets go",
         "force": "(3,) mean force of the held fruit on the cup in the last action, N",

@@ -1,4 +1,4 @@
-"""Imitation of the roadmap rule in states that the learner itself reaches (DAgger: Ross, Gordon and Bagnell, 2011).
+"""Imitation of a rule in states that the learner itself reaches (DAgger: Ross, Gordon and Bagnell, 2011).
 
 Training scenes are varied: mirrored, shifted, with moved plants and some fruit and clutter removed. A
 variation is a plausible row, no more: its tomatoes keep their ratings, although it is not known whether they can still
@@ -26,9 +26,11 @@ from greenhouse_gym.envs.simulation import Simulation
 from greenhouse_gym.errors import InvalidValueError, MissingDependencyError, require_seed
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.geometry.shapes import mirrored
+from greenhouse_gym.learning.picking_teacher import picking_labels
 from greenhouse_gym.learning.ppo import train_ppo
 from greenhouse_gym.learning.settings import BcThenPpoSettings, ImitationSettings
 from greenhouse_gym.learning.training_run import as_json, check_start
+from greenhouse_gym.learning.training_settings import physics_of
 from greenhouse_gym.scene import Scene, SceneBank, Target
 from greenhouse_gym.scene.bank import write_bank
 from greenhouse_gym.scene.plant_motion import move_plants
@@ -122,6 +124,9 @@ def roadmap_labels(simulation: Simulation) -> Array:
     return labels
 
 
+_LABELS: dict[str, Callable[[Simulation], Array]] = {"roadmap": roadmap_labels, "picking": picking_labels}
+
+
 def follow_waypoint(policy: Any) -> None:
     """Initialize the actor of an untrained Stable-Baselines3 policy so that it acts exactly as the agent ``roadmap``.
 
@@ -171,8 +176,8 @@ def imitate(
 
     Args:
         policy: An actor-critic policy; its actor and features are trained.
-        env: Vector environment with ``autoreset_mode="SameStep"`` and the arm and observation of the policy, which
-            includes waypoints.
+        env: Vector environment with ``autoreset_mode="SameStep"`` and the arm and observation of the policy; for the
+            teacher "roadmap" it includes waypoints.
         settings: The settings.
         seed: Seed of episodes and noise.
         on_progress: Called with the steps so far and figures after each round.
@@ -187,13 +192,14 @@ def imitate(
     teacher_acts = np.ones(env.num_envs, dtype=np.bool_)
     inputs: list[Observed] = []
     labels: list[Array] = []
+    labels_of = _LABELS[settings.teacher]
     updates = settings.steps * settings.passes // (settings.batch_size * rounds)
     for k in range(rounds):
         beta = max(0.0, 1.0 - k / max(1.0, settings.beta_fraction * rounds))
         ended = successes = 0
         began = time.perf_counter()
         for _ in range(settings.round_steps):
-            label = roadmap_labels(env.simulation)
+            label = labels_of(env.simulation)
             known = np.isfinite(label[:, 0])
             inputs.append(observed[known])  # type: ignore[index]
             labels.append(label[known])
@@ -265,9 +271,10 @@ def train_bc_then_ppo(
         options = {
             name: getattr(ppo, name)
             for name in (
-                "bank", "split", "robot", "observation", "action", "task", "difficulty", "scene", "target", "threads"
+                "bank", "split", "robot", "observation", "action", "task", "plants", "difficulty", "scene", "target",
+                "threads",
             )
-        }  # fmt: skip
+        } | physics_of(ppo)  # fmt: skip
         if settings.from_rule:
             follow_waypoint(model.policy)
         if not settings.imitation.steps:

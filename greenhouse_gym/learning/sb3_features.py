@@ -33,8 +33,14 @@ CENTERS_AND_SCALES: dict[str, tuple[float, float]] = {
     "waypoint_offset": (0.0, 1.0),
     "waypoint_direction": (0.0, 0.5),
     "path": (0.5, 0.5),
+    "gripper": (0.5, 0.5),
+    "wrist_force": (0.0, 5.0),
+    "fruit_radius": (0.03, 0.015),
+    "fruit_left": (1.0, 1.0),
+    "pedicel": (0.0, 0.05),
+    "crate_offset": (0.0, 0.5),
 }
-"""Typical center and scale of each feature, which normalize it to about one. Features of other tasks are not scaled."""
+"""Typical center and scale of each feature, which normalize it to about one. Features of your own are not scaled."""
 
 
 def policy_for(observe: ObservationSpec) -> tuple[str, dict[str, Any]]:

@@ -22,6 +22,9 @@ from greenhouse_gym.learning.training_settings import (
     require_joint_action,
 )
 
+TEACHERS = ("roadmap", "picking")
+"""Names of the teachers of an imitation."""
+
 ACTIVATIONS = ("tanh", "relu")
 """Names of the activation functions."""
 
@@ -250,6 +253,7 @@ class ImitationSettings:
     Attributes:
         steps: Labeled steps of all simulations together.
         num_envs: Number of simulations.
+        teacher: "roadmap", which joint actions can follow, or "picking", motions of the tip in the task "harvest".
         round_steps: Steps of each simulation between two trainings.
         beta_fraction: Fraction of the steps over which DAgger's beta, the probability that the teacher acts in an
             episode, falls from one to zero.
@@ -260,6 +264,7 @@ class ImitationSettings:
     """
 
     steps: int = 200_000
+    teacher: str = "roadmap"
     num_envs: Simulations = 64
     round_steps: PositiveCount = 50
     beta_fraction: Fraction = 0.3
@@ -270,6 +275,7 @@ class ImitationSettings:
 
     def __post_init__(self) -> None:
         check_numbers(self)
+        require_choice("teacher", self.teacher, TEACHERS)
 
 
 FINE_TUNING = PpoSettings(
@@ -297,5 +303,21 @@ class BcThenPpoSettings:
 
     def __post_init__(self) -> None:
         check_numbers(self)
-        if self.from_rule or self.imitation.steps:
+        if self.imitation.teacher == "picking":
+            _check_picking(self)
+        elif self.from_rule or self.imitation.steps:
             require_joint_action("imitation", self.ppo.action)
+
+
+def _check_picking(settings: BcThenPpoSettings) -> None:
+    """Raise an error for settings that the teacher of picking cannot teach.
+
+    Raises:
+        InvalidValueError: Another task or action, or a policy that follows waypoints.
+    """
+    ppo = settings.ppo
+    if (ppo.task, ppo.plants, ppo.action, settings.from_rule) != ("harvest", "compliant", "tip_velocity", False):
+        raise InvalidValueError(
+            'teacher "picking" needs task="harvest", plants="compliant", action="tip_velocity", from_rule=False; got '
+            f"{ppo.task!r}, {ppo.plants!r}, {ppo.action!r} and {settings.from_rule}"
+        )

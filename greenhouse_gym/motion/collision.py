@@ -209,6 +209,16 @@ class CollisionChecker:
         """Return whether a motion between free ends is free, without checking the ends."""
         return self._all_free(self._along(start, end, resolution)[2:], resolution)
 
+    def motions_are_free(
+        self, starts: Array, ends: Array, resolution: float, inside: bool = False
+    ) -> npt.NDArray[np.bool_]:
+        """Return whether each of some motions between configurations (k, joints) is free, (k,).
+
+        With ``inside``, their ends are known to be free.
+        """
+        check = self.inside_is_free if inside else self.motion_is_free
+        return np.array([check(a, b, resolution) for a, b in zip(starts, ends, strict=True)], dtype=np.bool_)
+
     def _along(self, start: npt.ArrayLike, end: npt.ArrayLike, resolution: float) -> Array:
         """Return the configurations (k, joints) to be checked on a motion, its ends first."""
         a, b = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)

@@ -266,6 +266,40 @@ def _gap_to_world(world, limit, memory):
 
 
 @inlined
+def free_inside(world, reaches, resolution, a, b, memory):
+    """Check the inner points of the motion between two free configurations, in `collision.halving_order`.
+
+    Returns:
+        The number of checks, negative if the motion is not free.
+    """
+    start, end, length, q, motion = a, b, 0.0, memory[0], memory[1]
+    for j in range(len(a)):
+        if a[j] != b[j]:
+            if a[j] > b[j]:
+                start, end = b, a
+            break
+    for j in range(len(a)):
+        motion[j] = end[j] - start[j]
+        length += reaches[j] * abs(motion[j])
+    steps = math.ceil(length / resolution)
+    checks, bits = 0, 0
+    while (1 << bits) <= steps - 1:
+        bits += 1
+    for index in range(1, 1 << bits):
+        reverse = 0
+        for bit in range(bits):
+            reverse |= ((index >> bit) & 1) << (bits - 1 - bit)
+        if reverse < steps:
+            fraction = reverse / steps
+            for j in range(len(q)):
+                q[j] = start[j] + fraction * motion[j]
+            checks += 1
+            if gap(world, 0.0, memory) < 0.0:
+                return -checks
+    return checks
+
+
+@inlined
 def _moved_less(one, other, limit):
     """Return whether no end of a capsule has moved by a limit or more between two positions (c, 6)."""
     for k in range(len(one) - 1, -1, -1):

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -48,6 +47,7 @@ NEAREST = 8
 
 _CACHE_SIZE = 256  # roadmaps kept per scene, about 6 KB each; random starts make a new one in every episode
 _MAX_MOTIONS = 30  # of a path
+_TRIED_AT_ONCE = 100  # motions
 
 
 class RoadmapNodes(NamedTuple):
@@ -159,8 +159,8 @@ class SceneRoadmaps:
             samples = start + SPREAD * np.random.default_rng(0).normal(size=(POSTURES, len(start)))
             robot.keep_tool_roll(samples, start)
             samples = np.clip(samples, robot.lower, robot.upper)
-            free = samples[[checker.motion_is_free(start, posture, RESOLUTION) for posture in samples]]
-            self._postures[key] = free.reshape(-1, len(start))
+            starts = np.broadcast_to(start, samples.shape)
+            self._postures[key] = samples[checker.motions_are_free(starts, samples, RESOLUTION)]
         return self._postures[key]
 
 
@@ -192,8 +192,8 @@ def search_nodes(checker: CollisionChecker, goals: Array, postures: Array, start
     rng = np.random.default_rng(0)
     tree = [_Node(goal, 0.0) for goal in goals]
     nearest = tree[:NEAREST]
-    visible = (node for node in tree if checker.inside_is_free(start, node.configuration, RESOLUTION))
-    paths = list(islice(visible, ENOUGH_PATHS))
+    visible = checker.motions_are_free(np.broadcast_to(start, goals.shape), goals, RESOLUTION, inside=True)
+    paths = [tree[k] for k in np.flatnonzero(visible)[:ENOUGH_PATHS]]
     origins, latest = np.concatenate([start[None], postures]), tree
     linked: set[int] = set()
     for generation, (count, spread) in enumerate(GROWTH):
@@ -201,8 +201,8 @@ def search_nodes(checker: CollisionChecker, goals: Array, postures: Array, start
             break
         latest = list(_grown(checker, latest, count, spread, robot, rng))
         new = latest if generation else tree + latest  # motions from postures to the goals were not checked yet
-        for origin, node in _by_length(origins, new):
-            if origin in linked or not checker.inside_is_free(origins[origin], node.configuration, RESOLUTION):
+        for origin, node in _free_by_length(checker, origins, new):
+            if origin in linked:
                 continue
             linked.add(origin)
             paths.append(node.preceded_by(origins[origin]) if origin else node)
@@ -215,22 +215,27 @@ def _grown(
     checker: CollisionChecker, nodes: Sequence[_Node], count: int, spread: float, robot: Robot, rng: np.random.Generator
 ) -> Iterator[_Node]:
     """Yield new nodes with a free motion to one of the given nodes."""
-    for k in rng.integers(len(nodes), size=count):
-        node = nodes[k]
-        offset = spread * rng.uniform(0.3, 1.0) * rng.normal(size=len(node.configuration))
-        configuration = np.clip(node.configuration + offset, robot.lower, robot.upper)
+    chosen = [nodes[k] for k in rng.integers(len(nodes), size=count)]
+    before = np.array([node.configuration for node in chosen])
+    after = before.copy()
+    for configuration, node in zip(after, chosen, strict=True):
+        configuration += spread * rng.uniform(0.3, 1.0) * rng.normal(size=len(configuration))
+        np.clip(configuration, robot.lower, robot.upper, out=configuration)
         robot.keep_tool_roll(configuration, node.configuration)
-        if checker.motion_is_free(node.configuration, configuration, RESOLUTION):
-            yield node.preceded_by(configuration)
+    for k in np.flatnonzero(checker.motions_are_free(before, after, RESOLUTION)):
+        yield chosen[k].preceded_by(after[k])
 
 
-def _by_length(origins: Array, nodes: Sequence[_Node]) -> Iterator[tuple[int, _Node]]:
-    """Yield pairs of an origin (index into (p, j), the start first) and a node, shortest paths first."""
+def _free_by_length(checker: CollisionChecker, origins: Array, nodes: Sequence[_Node]) -> Iterator[tuple[int, _Node]]:
+    """Yield pairs of an origin (index into (p, j), the start first) and a node it sees, shortest paths first."""
     configurations = np.reshape([node.configuration for node in nodes], (len(nodes), origins.shape[1]))
     lengths = np.sqrt(((origins - origins[0]) ** 2).sum(axis=-1))[:, None] + [node.cost for node in nodes]
     lengths += np.sqrt(((configurations - origins[:, None]) ** 2).sum(axis=-1))
-    for k in lengths.argsort(axis=None, kind="stable")[:MAX_TRIES].tolist():
-        yield k // len(nodes), nodes[k % len(nodes)]
+    order = lengths.argsort(axis=None, kind="stable")[:MAX_TRIES]
+    for first in range(0, len(order), _TRIED_AT_ONCE):
+        origin, node = np.divmod(order[first : first + _TRIED_AT_ONCE], len(nodes))
+        free = checker.motions_are_free(origins[origin], configurations[node], RESOLUTION, inside=True)
+        yield from ((int(origin[k]), nodes[node[k]]) for k in np.flatnonzero(free))
 
 
 def _nodes(ends: Iterable[_Node], connected: bool) -> RoadmapNodes:

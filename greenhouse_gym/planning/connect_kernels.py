@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.common.jit import inlined, kernel
-from greenhouse_gym.motion.collision_kernels import WORLD, Array, World, gap, memory_for
+from greenhouse_gym.motion.collision_kernels import WORLD, Array, World, free_inside, gap, memory_for
 
 Integers = npt.NDArray[np.int64]
 
@@ -20,40 +20,6 @@ UNFINISHED, MET, FULL = range(3)
 """Results of `grow_trees`: the samples or the checks are used up, the trees have met, or there is no room for nodes."""
 
 _TURN, _CHECKS, _GOALS, _FIRST, _SECOND, _SAMPLES = range(6)  # entries of the state of a search
-
-
-@inlined
-def _free_inside(world, reaches, resolution, a, b, memory):
-    """Check the inner points of the motion between two free configurations, in `collision.halving_order`.
-
-    Returns:
-        The number of checks, negative if the motion is not free.
-    """
-    start, end, length, q, motion = a, b, 0.0, memory[0], memory[1]
-    for j in range(len(a)):
-        if a[j] != b[j]:
-            if a[j] > b[j]:
-                start, end = b, a
-            break
-    for j in range(len(a)):
-        motion[j] = end[j] - start[j]
-        length += reaches[j] * abs(motion[j])
-    steps = math.ceil(length / resolution)
-    checks, bits = 0, 0
-    while (1 << bits) <= steps - 1:
-        bits += 1
-    for index in range(1, 1 << bits):
-        reverse = 0
-        for bit in range(bits):
-            reverse |= ((index >> bit) & 1) << (bits - 1 - bit)
-        if reverse < steps:
-            fraction = reverse / steps
-            for j in range(len(q)):
-                q[j] = start[j] + fraction * motion[j]
-            checks += 1
-            if gap(world, 0.0, memory) < 0.0:
-                return -checks
-    return checks
 
 
 @inlined
@@ -80,7 +46,7 @@ def _grow(world, reaches, resolution, points, parents, size, towards, step, stat
     _copy(new, memory[0])
     if gap(world, 0.0, memory) < 0.0:
         return 0
-    checks = _free_inside(world, reaches, resolution, points[nearest], new, memory)
+    checks = free_inside(world, reaches, resolution, points[nearest], new, memory)
     state[_CHECKS] += abs(checks)
     if checks < 0:
         return 0
@@ -170,7 +136,7 @@ def _without_detours(world, reaches, resolution, path, count, memory):
     first = 0
     while first + 2 < count:
         for last in range(count - 1, first + 1, -1):
-            if _free_inside(world, reaches, resolution, path[first], path[last], memory) >= 0:
+            if free_inside(world, reaches, resolution, path[first], path[last], memory) >= 0:
                 dropped = last - first - 1
                 for k in range(last, count):
                     _copy(path[k], path[k - dropped])
@@ -225,7 +191,7 @@ def shorten(world: World, reaches: Array, resolution: float, draws: Array, idle:
         for end in (a, b):
             _copy(end, memory[0])
             free = free and gap(world, 0.0, memory) >= 0.0
-        if not free or _free_inside(world, reaches, resolution, a, b, memory) < 0:
+        if not free or free_inside(world, reaches, resolution, a, b, memory) < 0:
             continue
         shift = first + 2 - last  # corners from first + 1 to last become two
         if shift > 0:

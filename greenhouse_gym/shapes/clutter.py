@@ -40,6 +40,7 @@ _MAX_EMPTY = 0.15  # fraction of a box's surface that may be empty
 _EXCLUDED_WEIGHT = 2e-4  # square metres of empty surface that an excluded point in a box counts for
 _MIN_BUDGET = 10  # boxes that any cloud may have
 _MAX_MERGED_EMPTY = 0.5  # fraction of a box's surface: no budget justifies a box that is mostly empty
+_MAX_ADDED = 0.02  # square metres of empty surface: nor a plank across two rails, which are far from each other
 _MAX_SPLIT = 3  # multiple of the budget up to which boxes are split before they are merged
 _NEIGHBORS = 6  # boxes among which merges are tried, itself counted
 _DEPTH, _MIN_INSIDE = 0.001, 3  # metres inside a box, and number, of excluded points that make it be cut
@@ -213,7 +214,8 @@ def _merge_pieces(cells: _Cells, pieces: Sequence[_Piece], budget: int, settings
         added, i, j, union = heapq.heappop(heap)
         if i not in alive or j not in alive:
             continue
-        if added >= settings.clutter_merge_area and union.empty_fraction > _MAX_MERGED_EMPTY:
+        wasteful = added > _MAX_ADDED or union.empty_fraction > _MAX_MERGED_EMPTY
+        if added >= settings.clutter_merge_area and wasteful:
             continue
         del alive[i], alive[j]
         new = len(near)

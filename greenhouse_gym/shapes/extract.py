@@ -105,9 +105,11 @@ def extract_shapes(
     unlike = outside_domain(cloud)
     if unlike:
         log.warn(f"the cloud is unlike those the networks were fitted to: {unlike}; {_WITHOUT_NETWORKS}")
-        tomatoes, confidence = find_red_tomatoes(surface, settings)
+        tomatoes, confidence, _ = find_red_tomatoes(surface, settings)
     else:
-        tomatoes, confidence = find_tomatoes(surface, fine_surface(whole, surface, settings), settings)
+        tomatoes, confidence, bumps = find_tomatoes(surface, fine_surface(whole, surface, settings), settings)
+        if bumps:
+            log.warn(f"{bumps} small green spheres were left out: their scores show no small fruit, but bent leaves")
     fruits = [tomato.shape for tomato in tomatoes]
     cloud = _without(surface, fruits, SHELL)
     colorful = colorful_mask(cloud.colors)

@@ -32,6 +32,7 @@ _MIN_VARIANCE = 3e-6  # square metres, added to the extent of a piece so that a 
 _FLAT = 10.0  # 1/m: a piece is flat if both curvatures are smaller
 _THIN = 0.04  # ratio of the variances across and along a piece below which its plane shows its normal
 _FLATTEST = 0.1  # fraction of the pieces that are taken as flat whatever the noise
+_PART = 0.25  # metres: size of the parts of a cloud whose noise is judged on its own
 _MIN_FLAT = 200  # flat pieces needed to estimate the color of leaves
 _MAX_HUE_SPREAD = 0.06  # of leaves: that between reflected and transmitted light
 _LEAF_CONTRAST = 0.07  # points redder than leaves by this are no leaf
@@ -64,6 +65,7 @@ class SurfaceCloud(Cloud):
         curvatures: (n, 2) principal curvatures in 1/m, the smaller first; positive where the surface bulges.
         elongations: (n,) ratio of the variances along and across the local surface.
         hues: (n,) redness, smoothed over neighbors.
+        noises: (n,) `noise` of the part of the cloud around each point, m; it often grows with the distance.
         leaf_hue: Median redness of the leaves, or `NO_LEAF`.
         leaf_hue_spread: Standard deviation of the leaves' redness, estimated from its quartiles.
         noise: Median over the cloud of the points' root mean square distance from a plane through a neighborhood, m.
@@ -75,6 +77,7 @@ class SurfaceCloud(Cloud):
     curvatures: Array
     elongations: Array
     hues: Array
+    noises: Array
     leaf_hue: float
     leaf_hue_spread: float
     noise: float = 0.0
@@ -84,16 +87,15 @@ class SurfaceCloud(Cloud):
 
     def select(self, rows: npt.NDArray[np.generic]) -> SurfaceCloud:
         """Return the points at ``rows``: indices or a mask."""
-        names = ("points", "colors", "normals", "curvatures", "elongations", "hues")
+        names = ("points", "colors", "normals", "curvatures", "elongations", "hues", "noises")
         return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
 
 def measure_surface(cloud: Cloud) -> SurfaceCloud:
     """Measure the surface of a cloud that has one point per voxel of ``ShapeSettings.voxel``."""
     if not len(cloud):
-        return SurfaceCloud(
-            cloud.points, cloud.colors, cloud.normals, np.zeros((0, 2)), np.zeros(0), np.zeros(0), NO_LEAF, 0.0
-        )
+        none = np.zeros(0)
+        return SurfaceCloud(cloud.points, cloud.colors, cloud.normals, np.zeros((0, 2)), none, none, none, NO_LEAF, 0.0)
     cells, cell = voxel_means(cloud, _CELL)
     near = Neighborhoods(cells.points, _REACH)
     # normals change linearly over a curved surface: least squares for the shape operator within the tangent plane
@@ -112,6 +114,7 @@ def measure_surface(cloud: Cloud) -> SurfaceCloud:
     bent = np.abs(curvatures).max(axis=1)
     flat = (bent < max(_FLAT, np.quantile(bent, _FLATTEST))) & colorful_mask(cells.colors)
     elongations = variances[:, 2] / (variances[:, 1] + _MIN_VARIANCE)
+    noise = np.sqrt(np.maximum(variances[:, 0], 0.0))
     return SurfaceCloud(
         cloud.points,
         cloud.colors,
@@ -119,8 +122,9 @@ def measure_surface(cloud: Cloud) -> SurfaceCloud:
         curvatures[cell],
         elongations[cell],
         hues[cell],
+        _local_medians(cells, noise)[cell],
         *_leaf_hue(hues[flat]),
-        noise=float(np.median(np.sqrt(np.maximum(variances[:, 0], 0.0)))),
+        noise=float(np.median(noise)),
         coherence=float(np.median(np.linalg.norm(near.mean(cells.normals), axis=1))),
         alignment=float(np.median(cosines[thin])) if thin.any() else 1.0,
         density=float(np.median(near.count)),
@@ -180,6 +184,19 @@ def _leaf_hue(hues: Array) -> tuple[float, float]:
     if median >= 0.0:  # redder than green: a table or a wall
         return NO_LEAF, 0.0
     return median, min((high - low) / 1.35, _MAX_HUE_SPREAD)
+
+
+def _local_medians(cells: Cloud, values: Array) -> Array:
+    """Return the median of values (n,) within about `_PART` of each of the cells (n,)."""
+    blocks, block = voxel_means(cells, _PART / 2)
+    medians = np.array(
+        [
+            np.median(part)
+            for part in np.split(values[np.argsort(block, kind="stable")], np.cumsum(np.bincount(block))[:-1])
+        ]
+    )
+    near = cKDTree(blocks.points).query_ball_point(blocks.points, _PART)
+    return np.array([np.median(medians[rows]) for rows in near])[block]
 
 
 def _project(tangent: Array, moments: Array) -> Array:

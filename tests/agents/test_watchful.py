@@ -301,11 +301,12 @@ def test_it_must_be_reset_before_it_acts() -> None:
         WatchfulAgent().act(None)
 
 
-def test_what_is_known_grows_with_the_images(scene: Scene, hung: Scene, arm: ArmSpheres) -> None:
+def test_what_is_known_grows_with_the_images(scene: Scene, arm: ArmSpheres) -> None:
     env = GreenhouseEnv(bank="mini", start="upright", observation="depth")
     base = base_position(scene, ARM)
     target = scene.tomatoes[TARGET].center - base
-    leaf = hung.clutter[-1].center - base
+    leaf = np.array([0.57, -0.07, 0.61])  # in front of the camera and of space that it has not seen
+    hung = scene.model_copy(update={"clutter": (*scene.clutter, Box(leaf + base, [0.02, 0.02, 0.02], np.eye(3)))})
     aims = first_viewpoint(leaf)
     told = known_where(scene, 0.0)
     observation, _ = env.reset(options={"scene": hung, "target": TARGET, "start": aims})

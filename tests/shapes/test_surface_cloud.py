@@ -77,10 +77,9 @@ def as_surface(
     colors: np.ndarray, curvatures: tuple[float, float] = (0.0, 0.0), leaf_hue: float = NO_LEAF
 ) -> SurfaceCloud:
     """Points of some colors with the same curvatures, among leaves of one hue."""
-    nothing = np.zeros((len(colors), 3))
-    return SurfaceCloud(
-        nothing, colors, nothing, np.tile(curvatures, (len(colors), 1)), nothing[:, 0], redness(colors), leaf_hue, 0.01
-    )
+    nothing, none = np.zeros((len(colors), 3)), np.zeros(len(colors))
+    curved = np.tile(curvatures, (len(colors), 1))
+    return SurfaceCloud(nothing, colors, nothing, curved, none, redness(colors), none, leaf_hue, 0.01)
 
 
 def test_leaves_gutters_and_strings_are_neither_fruit_nor_stem() -> None:

@@ -32,6 +32,9 @@ MATCHED = 0.02
 MAX_FORCE = 50.0
 """Bound of observed forces along each axis, N."""
 
+MAX_PEDICEL = 0.2
+"""Bound of the observed offset from a fruit to the joint it hangs or hung on, along each axis, metres."""
+
 MOVING = 0.01
 """Joint speed above which a step counts as work, rad/s."""
 
@@ -105,18 +108,21 @@ HARVEST_FEATURES: Mapping[str, Feature] = MappingProxyType(
     {
         **{name: FEATURES[name] for name in TARGET_FEATURES},
         "gripper": Feature(
-            lambda s: np.stack([s.plants["held"], s.plants["vacuum"]], axis=1), lambda r: _bounds((0, 1), (0, 1))
+            lambda s: np.stack([s.plants[name] for name in ("held", "vacuum", "hangs")], axis=1),
+            lambda r: _bounds(*[(0, 1)] * 3),
         ),
         "wrist_force": Feature(lambda s: s.plants["force"], lambda r: _bounds(*[(-MAX_FORCE, MAX_FORCE)] * 3)),
-        "fruit": Feature(
-            lambda s: np.stack([s.plants["radius"], s.plants["left"]], axis=1), lambda r: _bounds((0, 0.2), (0, 100))
+        "fruit_radius": Feature(lambda s: s.plants["radius"][:, None], lambda r: _bounds((0, 0.2))),
+        "fruit_left": Feature(lambda s: s.plants["left"][:, None], lambda r: _bounds((0, 100))),
+        "pedicel": Feature(
+            lambda s: s.plants["joint"] - s.plants["fruit"], lambda r: _bounds(*[(-MAX_PEDICEL, MAX_PEDICEL)] * 3)
         ),
         "crate_offset": Feature(
             lambda s: s.plants["crate"] - s.tip, lambda r: _bounds(*[(-MAX_OFFSET, MAX_OFFSET)] * 3)
         ),
     }
 )
-"""Features of the task: the fruit in work, the gripper, the force of the held fruit and the crate."""
+"""Features of the task: the fruit in work and its pedicel, the gripper, the force of the held fruit and the crate."""
 
 
 @dataclass(frozen=True)

@@ -70,14 +70,16 @@ class CutterPlants(LivePlants):
         """Return the held truss, or that with fruit to be picked whose peduncle is nearest to the tip."""
         if self.holding:
             body = int(self._ids.cut[self.held_truss])
-            return Work(self.held_truss, self.data.subtree_com[body].copy(), 0.0)
+            return Work(
+                self.held_truss, self.data.subtree_com[body].copy(), 0.0, self.cut_point(self.held_truss), False
+            )
         trusses = [k for k in self._uncut() if self.wanted[self.on_truss(k)].any()]
         if not trusses:
-            return Work(-1, tip, 0.0)
+            return Work(-1, tip, 0.0, tip, False)
         points = np.array([self.cut_point(k) for k in trusses])
         near = int(np.linalg.norm(points - tip, axis=1).argmin())
         radius = float(self.model.geom_size[self._peduncle(trusses[near]), 0])
-        return Work(trusses[near], points[near], radius)
+        return Work(trusses[near], points[near], radius, points[near], True)
 
     def _uncut(self) -> list[int]:
         return [k for k in range(len(self.planted.trusses)) if not self.cut[k]]

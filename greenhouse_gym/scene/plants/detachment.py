@@ -34,10 +34,9 @@ def stress(model: mujoco.MjModel, data: mujoco.MjData, bodies: Array, axes: Arra
     pull = data.cfrc_int[bodies, 3:].copy()
     pull[:, 2] -= model.body_mass[bodies] * GRAVITY
     first = model.jnt_qposadr[model.body_jntadr[bodies]]
-    w, vector = data.qpos[first], data.qpos[first[:, None] + [1, 2, 3]]
-    turned = axes + 2 * np.cross(vector, np.cross(vector, axes) + w[:, None] * axes)
-    cosine = np.clip((turned * axes).sum(axis=1), -1.0, 1.0)
-    return np.sqrt((pull * pull).sum(axis=1)), np.arccos(cosine)
+    vector = data.qpos[first[:, None] + [1, 2, 3]]  # of the quaternion; what it has along the axis only twists
+    across = (vector * vector).sum(axis=1) - (vector * axes).sum(axis=1) ** 2
+    return np.sqrt((pull * pull).sum(axis=1)), 2 * np.arcsin(np.sqrt(np.clip(across, 0.0, 1.0)))
 
 
 def load_of(pull: Array, bend: Array, mechanics: PlantMechanics) -> Array:

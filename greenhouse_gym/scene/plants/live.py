@@ -68,11 +68,15 @@ class Work(NamedTuple):
         number: Its number among the fruit or trusses; -1 without one.
         point: (3,) where the tool has to go, or the middle of what it holds, metres.
         radius: Radius of what is at the point, metres.
+        joint: (3,) start of the pedicel of the fruit, or the point to cut, metres.
+        hangs: True unless it came off.
     """
 
     number: int
     point: Array
     radius: float
+    joint: Array
+    hangs: bool
 
 
 class LivePlants:
@@ -217,10 +221,10 @@ class LivePlants:
         if fruit < 0:
             left = np.flatnonzero(self.wanted & (self.state == HANGING))
             if not len(left):
-                return Work(-1, tip, 0.0)
+                return Work(-1, tip, 0.0, tip, False)
             offsets = self.data.geom_xpos[self.model.body_geomadr[self._bodies[left]]] - tip
             fruit = int(left[(offsets * offsets).sum(axis=1).argmin()])
-        return Work(fruit, self.center(fruit), self.radius(fruit))
+        return Work(fruit, self.center(fruit), self.radius(fruit), self.joint_of(fruit), self.state[fruit] == HANGING)
 
     def _catch(self) -> None:
         """Hold the nearest fruit that the cup can seal on."""
@@ -228,13 +232,15 @@ class LivePlants:
         site = data.site("tip")
         tip, axis = site.xpos, site.xmat.reshape(3, 3)[:, 2]
         best, found = SEAL_GAP, -1
-        for fruit in np.flatnonzero((self.state == HANGING) | (self.state == LOOSE)).tolist():
-            geom = first_geom(model, self.body_of(fruit))
-            apart = data.geom_xpos[geom] - tip
-            distance = float(np.linalg.norm(apart))
-            if distance > model.geom_rbound[geom] + SEAL_GAP or axis @ apart < np.cos(SEAL_ANGLE) * distance:
-                continue
-            gap = mujoco.mj_geomDistance(model, data, self._cup_geom, geom, 2 * SEAL_GAP, None)
+        bodies = self._bodies.copy()
+        loose = np.flatnonzero(self._loose_of >= 0)
+        bodies[self._loose_of[loose]] = self._ids.loose[loose]
+        geoms = model.body_geomadr[bodies]
+        apart = data.geom_xpos[geoms] - tip
+        distances = np.sqrt((apart * apart).sum(axis=1))
+        near = (distances <= model.geom_rbound[geoms] + SEAL_GAP) & (apart @ axis >= np.cos(SEAL_ANGLE) * distances)
+        for fruit in np.flatnonzero(near & ((self.state == HANGING) | (self.state == LOOSE))).tolist():
+            gap = mujoco.mj_geomDistance(model, data, self._cup_geom, int(geoms[fruit]), 2 * SEAL_GAP, None)
             if gap < best:
                 best, found = gap, fruit
         if found >= 0:

@@ -157,15 +157,14 @@ class _Segments:
 
     def nearest(self, points: Array) -> tuple[npt.NDArray[np.int64], Array]:
         """Return the rows (m,) of the nearest segments to points (m, 3), and their distances."""
-        found, distances = [], []
         along = self.ends - self.starts
         squares = np.maximum((along * along).sum(axis=1), 1e-18)
-        for point in points:
-            t = np.clip(((point - self.starts) * along).sum(axis=1) / squares, 0.0, 1.0)
-            apart = np.linalg.norm(self.starts + t[:, None] * along - point, axis=1)
-            found.append(int(apart.argmin()))
-            distances.append(float(apart[found[-1]]))
-        return self.rows[found], np.array(distances)
+        apart = points[:, None] - self.starts
+        t = np.clip((apart * along).sum(axis=2) / squares, 0.0, 1.0)
+        apart -= t[..., None] * along
+        squared = (apart * apart).sum(axis=2)
+        nearest = squared.argmin(axis=1)
+        return self.rows[nearest], np.sqrt(squared[np.arange(len(points)), nearest])
 
 
 def _chains(arrays: ShapeArrays, rows: npt.NDArray[np.int64]) -> list[npt.NDArray[np.int64]]:
@@ -183,13 +182,14 @@ def _branch(arrays: ShapeArrays, rows: npt.NDArray[np.int64], parents: _Segments
     """Return a chain of capsules from its end nearest to the parents to the farthest one, in this order."""
     ends = np.concatenate([arrays.starts[rows], arrays.ends[rows]])
     root = ends[parents.nearest(ends)[1].argmin()]
-    ordered, here, left = [], root, rows.tolist()
-    while left:
-        gaps = [min(np.linalg.norm(arrays.starts[r] - here), np.linalg.norm(arrays.ends[r] - here)) for r in left]
-        row = left.pop(int(np.argmin(gaps)))
-        flipped = np.linalg.norm(arrays.ends[row] - here) < np.linalg.norm(arrays.starts[row] - here)
-        here = arrays.starts[row] if flipped else arrays.ends[row]
+    ordered, here, left = [], root, rows
+    while len(left):
+        gaps = [np.linalg.norm(points[left] - here, axis=1) for points in (arrays.starts, arrays.ends)]
+        k = int(np.minimum(*gaps).argmin())
+        row = int(left[k])
+        here = arrays.starts[row] if gaps[1][k] < gaps[0][k] else arrays.ends[row]
         ordered.append(row)
+        left = np.delete(left, k)
     return Branch(root, here, tuple(ordered))
 
 

@@ -5,6 +5,7 @@ Flowers are small groups of petals, recognized by a yellow that is absent from l
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -40,7 +41,13 @@ _FLOWERS_APART = 0.016  # metres between two flowers
 _REDNESS = np.array([-0.12, 0.07, 0.34, 0.77])
 """(R - G) / (R + G) of the skin at ripeness 0, 1/3, 2/3, 1: green, turning, orange, red."""
 
-_CLEAR = 0.8  # confidence of red fruit that the networks missed
+_CLEAR = 0.8  # confidence of red fruit that the networks missed, and of fruit that shows that a truss is there
+_SMALL, _GREEN = 0.012, 0.5  # largest radius in metres, and ripeness, of fruit that a bump of a leaf resembles
+_MIN_SMALL, _MIN_MEAN = 5, 0.75
+"""Number of small green fruit that shows by its mean confidence, and the least, if the row has such fruit.
+
+Development rows have 0.86 to 1.0; crumpled leaves without fruit, which the networks do not know, 0.5 to 0.6.
+"""
 
 
 def petal_mask(colors: Array) -> Mask:
@@ -79,13 +86,14 @@ def find_flowers(surface: SurfaceCloud, fruit: Sequence[Shape]) -> tuple[Sphere,
 
 
 class FoundTomatoes(NamedTuple):
-    """Tomatoes found in a cloud, and the confidence of each, 0 to 1."""
+    """Tomatoes found in a cloud, the confidence of each, 0 to 1, and the number of `without_bumps` left out."""
 
     tomatoes: tuple[Tomato, ...]
     confidence: tuple[float, ...]
+    bumps: int = 0
 
 
-class _Fruit(NamedTuple):
+class Fruit(NamedTuple):
     """A sphere that is a tomato, its confidence and its ripeness."""
 
     sphere: SphereFit
@@ -110,6 +118,8 @@ def find_tomatoes(surface: SurfaceCloud, fine: SurfaceCloud, settings: ShapeSett
     missed = _red_fruits(surface, fruits, _CLEAR, settings)
     large_red = [fruit.sphere for fruit in missed]
     fruits = [*(fruit for fruit in fruits if not sits_on(fruit.sphere, large_red)), *missed]
+    found, fruits = len(fruits), without_bumps(fruits, settings)
+    bumps = found - len(fruits)
     fruits = [fruits[k] for k in row_order([fruit.sphere for fruit in fruits])]
     spheroids = fit_spheroids([fruit.sphere for fruit in fruits], candidates.skin)
     if spheroids is not None:
@@ -118,7 +128,19 @@ def find_tomatoes(surface: SurfaceCloud, fine: SurfaceCloud, settings: ShapeSett
             fruits = [fruits[k] for k in kept]
             spheroids = fit_spheroids([fruit.sphere for fruit in fruits], candidates.skin)
     tomatoes = tuple(_tomatoes(fruits, spheroids, settings))
-    return FoundTomatoes(tomatoes, tuple(fruit.confidence for fruit in fruits))
+    return FoundTomatoes(tomatoes, tuple(fruit.confidence for fruit in fruits), bumps)
+
+
+def without_bumps(fruits: list[Fruit], settings: ShapeSettings) -> list[Fruit]:
+    """Return fruits without small green ones far from sure ones, if their low scores show that the row has none."""
+    small = np.array([fruit.sphere.radius < _SMALL and fruit.ripeness < _GREEN for fruit in fruits], dtype=bool)
+    confidence = np.array([fruit.confidence for fruit in fruits])
+    if np.count_nonzero(small) < _MIN_SMALL or confidence[small].mean() >= _MIN_MEAN:
+        return fruits
+    confident = [fruit.sphere for fruit in itertools.compress(fruits, ~small & (confidence >= _CLEAR))]
+    centers = np.array([fruit.sphere.center for fruit in fruits])
+    supported = nearest_shapes(centers, confident, settings.truss_spread).owner >= 0
+    return list(itertools.compress(fruits, ~small | supported))
 
 
 def find_red_tomatoes(surface: SurfaceCloud, settings: ShapeSettings) -> FoundTomatoes:
@@ -129,17 +151,17 @@ def find_red_tomatoes(surface: SurfaceCloud, settings: ShapeSettings) -> FoundTo
 
 
 def _red_fruits(
-    surface: SurfaceCloud, found: Sequence[_Fruit], min_confidence: float, settings: ShapeSettings
-) -> list[_Fruit]:
+    surface: SurfaceCloud, found: Sequence[Fruit], min_confidence: float, settings: ShapeSettings
+) -> list[Fruit]:
     """Return the red fruits that those found before do not explain."""
     red = find_red(surface, [fruit.sphere for fruit in found], settings)
     return [fruit for fruit in _fruits(red, surface) if fruit.confidence >= min_confidence]
 
 
-def _fruits(found: ScoredFruit | RedFruit, cloud: SurfaceCloud) -> list[_Fruit]:
+def _fruits(found: ScoredFruit | RedFruit, cloud: SurfaceCloud) -> list[Fruit]:
     """Return spheres among the points of a cloud with their ripeness."""
     return [
-        _Fruit(fit, confidence, ripeness_of(cloud.colors[fit.points]))
+        Fruit(fit, confidence, ripeness_of(cloud.colors[fit.points]))
         for fit, confidence in zip(found.fits, found.confidence.tolist(), strict=True)
     ]
 
@@ -162,7 +184,7 @@ def ripeness_of(colors: Array) -> float:
     return float(np.round(np.interp(np.median(redness(colors)), _REDNESS, np.linspace(0, 1, len(_REDNESS))), 3))
 
 
-def _tomatoes(fruits: Sequence[_Fruit], spheroids: list[Spheroid] | None, settings: ShapeSettings) -> Iterator[Tomato]:
+def _tomatoes(fruits: Sequence[Fruit], spheroids: list[Spheroid] | None, settings: ShapeSettings) -> Iterator[Tomato]:
     """Yield fruits as round tomatoes, or as ellipsoids where spheroids are given."""
     trusses = group_trusses(spheroids or [fruit.sphere for fruit in fruits], settings.truss_spread)
     for k, (fruit, truss) in enumerate(zip(fruits, trusses.tolist(), strict=True)):

@@ -27,6 +27,7 @@ RED = 0.22
 """(R - G) / (R + G) above which skin is red: about half way from leaves to ripe fruit."""
 
 _NOISE_REACH = 7.0  # radius of the smallest fruit, and of the patch that noise may fake, in standard deviations
+_MIN_VOXELS = 3.0  # radius, in voxels, of the smallest fruit whose outline the cloud resolves
 _RADIUS_STEP = 1.28  # ratio of the radii tried
 _CELL = 1 / 6  # side of the cells in which the cloud is compared with a ball, in radii
 _SPACING = 0.6  # distance between the points at which balls are laid, in radii
@@ -95,8 +96,8 @@ class _Balls(NamedTuple):
         unlike = np.log(self.radii / usual) ** 2 / (2 * _SIZE_SPREAD**2)
         return np.asarray(self.gain * np.exp(-(1 - self.skin) * unlike))
 
-    def confidence(self, noise: float) -> Array:
-        """Return the fraction (k,) of skin in the visible area, counting the area that noise could fake against it."""
+    def confidence(self, noise: Array) -> Array:
+        """Return the fraction (k,) of skin in the visible area, less where noise (k,), metres, could fake that area."""
         area, faked = np.pi * self.radii**2, np.pi * (_NOISE_REACH * noise) ** 2
         return np.asarray(area * self.skin / (area * (self.skin + self.other) + faked))
 
@@ -116,21 +117,27 @@ def find_red(surface: SurfaceCloud, found: Sequence[Sphere], settings: ShapeSett
         found: Fruit found before. A ball may cover smaller ones; `sits_on` says which.
         settings: All settings.
     """
-    smallest = max(settings.radii[0], _NOISE_REACH * surface.noise)
+    lowest = max(settings.radii[0], _MIN_VOXELS * settings.voxel)
+    smallest = np.maximum(lowest, _NOISE_REACH * surface.noises)
     red = redness(surface.colors) > RED
-    explained = nearest_shapes(surface.points, [f for f in found if f.radius > smallest], SHELL).owner >= 0
-    left = np.flatnonzero(red & ~explained)
+    here = cKDTree(surface.points)
+    clear = [f for f in found if f.radius > smallest[here.query(f.center)[1]]]
+    explained = nearest_shapes(surface.points, clear, SHELL).owner >= 0
+    left = np.flatnonzero(red & ~explained & (smallest < settings.radii[1]))
     if len(left):
-        left = left[group_sizes(surface.points[left], 2 * settings.voxel) * settings.voxel**2 > smallest**2]
-    if not len(left) or smallest >= settings.radii[1]:
+        left = left[group_sizes(surface.points[left], 2 * settings.voxel) * settings.voxel**2 > smallest[left] ** 2]
+    if not len(left):
         return RedFruit([], np.zeros(0))
     seen_from = _Views(surface)
     near = cKDTree(surface.points[left]).query(surface.points, distance_upper_bound=3 * settings.radii[1])[0]
     around = np.flatnonzero(np.isfinite(near))
     scene, is_red, unexplained = surface.select(around), red[around], np.isin(around, left)
-    steps = 1 + int(np.log(settings.radii[1] / smallest) / np.log(_RADIUS_STEP))
-    radii = np.geomspace(smallest, settings.radii[1], steps)
-    laid = [_lay(scene, is_red, unexplained, float(radius), seen_from) for radius in radii]
+    low = float(smallest[left].min())
+    steps = 1 + int(np.log(settings.radii[1] / low) / np.log(_RADIUS_STEP))
+    laid = []
+    for radius in np.geomspace(low, settings.radii[1], steps):
+        shows = unexplained & (smallest[around] <= 1.01 * radius)  # noise hides smaller ones
+        laid.append(_lay(scene, is_red, shows, float(radius), seen_from))
     balls = _joined(laid)
     tree = cKDTree(scene.points[is_red])
     owned = ~unexplained[is_red]
@@ -146,7 +153,8 @@ def find_red(surface: SurfaceCloud, found: Sequence[Sphere], settings: ShapeSett
     chosen = chosen.select(np.flatnonzero(chosen.radii < 0.99 * largest))  # the others would have grown on
     rows = around[is_red]
     fits = [_as_fit(chosen, k, tree, rows, scene.normals[is_red]) for k in range(len(chosen.radii))]
-    return RedFruit(fits, chosen.confidence(surface.noise))
+    noise = surface.noises[here.query(chosen.centers)[1]]
+    return RedFruit(fits, chosen.confidence(noise))
 
 
 def sits_on(small: Sphere, balls: Sequence[Sphere]) -> bool:

@@ -52,6 +52,13 @@ def test_more_boxes_enclose_less() -> None:
     assert many < few < 0.25 * 8 * np.prod(bounding_box(bent).half_extents)
 
 
+def test_no_budget_makes_a_plank_across_two_rails() -> None:
+    rail = np.random.default_rng(0).uniform([0, 0, 0], [0.002, 2.0, 0.04], (20_000, 3))
+    rails = np.concatenate([rail, rail + [0.0, 0.0, 0.12]])
+    boxes = cover_with_boxes(rails, np.tile([-1.0, 0.0, 0.0], (len(rails), 1)), 1, SETTINGS)
+    assert len(boxes) == 2
+
+
 def test_fine_shapes_enclose_less_around_a_bent_leaf() -> None:
     angle, along = (g.ravel() for g in np.meshgrid(np.linspace(0, 2.5, 150), np.linspace(0, 0.12, 60)))
     normals = -np.column_stack([np.cos(angle), 0 * angle, np.sin(angle)])

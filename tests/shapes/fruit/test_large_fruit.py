@@ -27,7 +27,9 @@ def constant(value: float):
 def candidate(**features: float) -> Candidates:
     """One sphere of the first pass with some features, and none of the second."""
     points = np.zeros((40, 3))
-    cloud = SurfaceCloud(points, points, points, np.zeros((40, 2)), np.zeros(40), np.zeros(40), -0.15, 0.02)
+    cloud = SurfaceCloud(
+        points, points, points, np.zeros((40, 2)), np.zeros(40), np.zeros(40), np.zeros(40), -0.15, 0.02
+    )
     ball = SphereFit(np.array([0.5, 0.0, 1.2]), 0.02, np.arange(40), 0.3, 0.001, 0.9)
     first = np.zeros((1, COLUMNS))
     for name, value in features.items():

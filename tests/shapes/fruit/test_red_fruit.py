@@ -27,10 +27,10 @@ def facing(points: np.ndarray, normals: np.ndarray, color: np.ndarray, rng: np.r
     return points + rng.normal(0, NOISE, (len(points), 1)) * view, np.tile(color, (len(points), 1)), turned
 
 
-def apple(center: tuple[float, float, float], radius: float, rng: np.random.Generator) -> tuple:
+def apple(center: tuple[float, float, float], radius: float, rng: np.random.Generator, whole: bool = False) -> tuple:
     unit = rng.normal(size=(int(4 * np.pi * radius**2 / 0.002**2), 3))
     unit /= np.linalg.norm(unit, axis=1, keepdims=True)
-    unit = unit[unit @ (CAMERA - center) > 0]
+    unit = unit[(unit @ (CAMERA - center) > 0) | whole]
     return facing(np.array(center) + radius * unit, unit, RED, rng)
 
 
@@ -60,6 +60,37 @@ def test_fruit_of_two_sizes_is_found_in_one_cloud() -> None:
     surface = surface_of(wall(GREEN, rng), apple((0.5, 0.1, 1.1), 0.04, rng), apple((0.5, 0.3, 1.1), 0.02, rng))
     radii = sorted(fit.radius for fit in find_red(surface, [], SETTINGS).fits)
     assert radii == pytest.approx([0.02, 0.04], rel=0.2)
+
+
+def test_noise_is_judged_where_a_fruit_hangs(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(5)
+    monkeypatch.setattr("test_red_fruit.NOISE", 0.0005)
+    near = wall(GREEN, rng, 30_000), apple((0.55, 0.2, 1.1), 0.014, rng)
+    monkeypatch.setattr("test_red_fruit.NOISE", 0.004)  # farther from the camera
+    far = [wall(GREEN, rng, 45_000), apple((0.55, 0.15, 1.1), 0.014, rng), apple((0.5, 0.3, 1.1), 0.045, rng)]
+    far = [(points + [0.0, 1.5, 0.0], colors, normals) for points, colors, normals in far]
+    surface = surface_of(*near, *far)
+    assert surface.noises.min() < 0.4 * surface.noise
+    found = find_red(surface, [], SETTINGS)
+    near_fits = [fit for fit in found.fits if fit.center[1] < 1.0]
+    assert len(near_fits) == 1, "the median noise of the whole cloud would hide it"
+    assert near_fits[0].radius == pytest.approx(0.014, rel=0.2)
+    far_fits = [fit for fit in found.fits if fit.center[1] > 1.0]
+    assert len(far_fits) == 1, "noise hides the small one"
+    assert far_fits[0].radius == pytest.approx(0.045, rel=0.2)
+
+
+def test_fruit_seen_from_both_sides_is_found_once() -> None:
+    rng = np.random.default_rng(6)
+    points, colors, normals = wall(GREEN, rng, 40_000)
+    leaves = points, colors, normals * rng.choice([-1.0, 1.0], (len(points), 1))
+    balls = [((0.5, 0.1, 1.1), 0.036), ((0.72, 0.3, 1.1), 0.03)]
+    surface = surface_of(leaves, *(apple(center, radius, rng, whole=True) for center, radius in balls))
+    fits = sorted(find_red(surface, [], SETTINGS).fits, key=lambda fit: fit.center[0])
+    assert len(fits) == 2
+    for fit, (center, radius) in zip(fits, balls, strict=True):
+        assert fit.radius == pytest.approx(radius, rel=0.25)
+        np.testing.assert_allclose(fit.center, center, atol=0.3 * radius)
 
 
 def test_a_red_wall_and_a_green_one_are_no_fruit() -> None:

@@ -16,7 +16,9 @@ BALL = Sphere([0.5, 0.1, 1.2], 0.01)
 def surface(points: Array, normals: Array, hues: float | Array = 0.0, leaf_hue: float = -0.2) -> SurfaceCloud:
     count = len(points)
     gray, flat = np.full((count, 3), 0.5), np.zeros((count, 2))
-    return SurfaceCloud(points, gray, normals, flat, np.ones(count), np.full(count, hues), leaf_hue, 0.02)
+    return SurfaceCloud(
+        points, gray, normals, flat, np.ones(count), np.full(count, hues), np.zeros(count), leaf_hue, 0.02
+    )
 
 
 def half_ball(count: int = 300, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:

@@ -9,8 +9,10 @@ import pytest
 
 from greenhouse_gym.geometry.point_clouds import Cloud
 from greenhouse_gym.shapes import ShapeSettings, extract_shapes
+from greenhouse_gym.shapes.fruit.detection import Fruit, without_bumps
 from greenhouse_gym.shapes.fruit.large_fruit import ScoredFruit
 from greenhouse_gym.shapes.fruit.small_fruit import find_small, small_spheres
+from greenhouse_gym.shapes.fruit.spheres import SphereFit
 from greenhouse_gym.shapes.networks import network
 from greenhouse_gym.shapes.surface_cloud import measure_surface, transfer_surface
 
@@ -104,3 +106,20 @@ def test_shipped_networks_return_probabilities(name: str) -> None:
     assert np.isfinite(scores).all()
     assert (scores >= 0).all()
     assert (scores <= 1).all()
+
+
+def bumps(confidence: float, count: int = 8, ripeness: float = 0.0) -> list[Fruit]:
+    empty = np.zeros(0, dtype=np.int64)
+    centers = np.column_stack([np.full(count, 0.5), 0.2 * np.arange(count), np.full(count, 1.1)])
+    return [Fruit(SphereFit(center, 0.008, empty, 0.3, 0.0, 0.9), confidence, ripeness) for center in centers]
+
+
+def test_small_green_fruit_needs_a_row_that_shows_some() -> None:
+    assert without_bumps(bumps(0.55), SETTINGS) == []
+    for shown in (bumps(0.9), bumps(0.55, count=3), bumps(0.55, ripeness=1.0), []):
+        assert without_bumps(shown, SETTINGS) == shown
+
+
+def test_doubtful_small_fruit_next_to_a_sure_one_is_kept() -> None:
+    doubtful, sure = bumps(0.55), Fruit(replace(bumps(0.9)[0].sphere, center=np.array([0.5, 0.05, 1.1])), 0.9, 1.0)
+    assert without_bumps([*doubtful, sure], SETTINGS) == [doubtful[0], sure]
