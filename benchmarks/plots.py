@@ -16,9 +16,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from benchmarks.common import RESULTS, ROOT, parser
 from greenhouse_gym.common.files import write_atomically
+from greenhouse_gym.evaluation.entry import is_current, read_entry
 from greenhouse_gym.evaluation.records import wilson_interval
 from greenhouse_gym.scene import SceneBank
 
@@ -93,6 +95,33 @@ def agents() -> Figure:
     bars(axes, tuple(name.replace("-ur5e", "").replace("-", "-\n", 1) for name in AGENTS), series)
     axes.tick_params(axis="x", labelsize=9)
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=3, frameon=False)
+    return figure
+
+
+def choice() -> Figure:
+    """Draw successes and collisions against the time to the first motion, by what agents know."""
+    figure, panels = plt.subplots(1, 2, figsize=(9, 4.2), sharey=True)
+    entries = [entry for agent in AGENTS if is_current(entry := read_entry(LEADERBOARD / f"{agent}.json"))]
+    for axes, track in zip(panels, ("reconstruction", "truth"), strict=True):
+        for entry in entries:
+            if track not in entry.tracks:
+                continue
+            e = entry.evaluation(track)
+            x = 1000 * (e.median("planning_time") + e.median("action_time"))
+            color = COLORS[0 if entry.knows == "observation" else 2]
+            axes.plot([x, x], [100 * e.collision_rate, 100 * e.success_rate], color=color, alpha=0.3)
+            axes.plot(x, 100 * e.collision_rate, "x", color=color)
+            axes.plot(x, 100 * e.success_rate, "o", color=color)
+            axes.annotate(entry.agent, (x, 100 * e.success_rate), (4, 4), textcoords="offset points", fontsize=7)
+        axes.set_xscale("log")
+        axes.set_title("row as scanned" if track == "reconstruction" else "true row")
+        axes.set_xlabel("ms to the first motion")
+        axes.set_ylim(-3, 108)
+    panels[0].set_ylabel("reached (o), collided (x), %")
+    keys = {"acts on its observation": COLORS[0], "knows the whole scan": COLORS[2]}
+    handles = [Line2D([], [], color=color, marker="o", linestyle="") for color in keys.values()]
+    figure.legend(handles, list(keys), loc="lower center", ncols=2, frameon=False)
+    figure.subplots_adjust(bottom=0.24)
     return figure
 
 

@@ -153,6 +153,14 @@ def knows_truth(agent: Agent) -> bool:
     return bool(getattr(agent, "knows_truth", False))
 
 
+def knows_scene(agent: Agent) -> bool:
+    """Return whether an agent may use the whole reconstruction; False if it declares that it acts on its observation.
+
+    The leaderboard keeps both kinds apart. The observation of such an agent holds no plan.
+    """
+    return bool(getattr(agent, "knows_scene", True))
+
+
 class NamedAgent:
     """Base of agents that gives them a short text."""
 

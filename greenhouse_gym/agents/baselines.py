@@ -20,6 +20,7 @@ class RandomAgent(JointAgent):
     """Draw every action uniformly."""
 
     name = "random"
+    knows_scene = False
 
     def __init__(self) -> None:
         self._rng = np.random.default_rng(0)

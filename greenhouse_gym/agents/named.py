@@ -34,6 +34,7 @@ SIMPLE: dict[str, Callable[[], Agent]] = {
 }  # fmt: skip
 """Agents by name that are made without arguments."""
 
+_SHIELDED = "shielded-"
 _CHECKPOINT = "checkpoint.safetensors"
 _LONGEST_NAME = 1000  # characters; longer paths are errors of the system
 
@@ -62,8 +63,9 @@ def make_agent(name: str) -> Agent:
     """Make an agent by name: a baseline, a planner, a shipped policy, a policy's file, or your own.
 
     Args:
-        name: Such as "random", "RRTConnect", "ppo-ur5e", "runs/ppo/policy.json", "runs/ppo" (the folder of a training),
-            "my_agent.py:MyAgent" or "my_package.agents:MyAgent": a class that is called without arguments, or an agent.
+        name: Such as "random", "RRTConnect", "ppo-ur5e", "shielded-ppo-ur5e", "runs/ppo/policy.json", "runs/ppo" (the
+            folder of a training), "my_agent.py:MyAgent" or "my_package.agents:MyAgent": a class that is called without
+            arguments, or an agent.
 
     Raises:
         UnknownNameError: No such agent; the message lists those of every kind.
@@ -81,6 +83,9 @@ def make_agent(name: str) -> Agent:
         agent = make(agent, name, {}) if isinstance(agent, type) else agent
         check_agent(agent)
         return agent  # type: ignore[no-any-return]
+    shielded = name.removeprefix(_SHIELDED)
+    if shielded != name and shielded in shipped_policies():
+        return ShieldedAgent(PolicyAgent.load(shielded), name)
     if name in shipped_policies() or description_path(name).is_file():
         return PolicyAgent.load(name)
     if training := _training(Path(name)):

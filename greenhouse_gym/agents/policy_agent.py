@@ -25,12 +25,16 @@ def shipped_policies() -> dict[str, Path]:
     return {path.stem: path for path in sorted(data_path("policies").glob("*.json"))}
 
 
+_WITH_PLAN = ("roadmap", "goal_roadmap")  # observations that hold the next waypoint of a plan
+
+
 class PolicyAgent(NamedAgent):
     """A learned policy as an `Agent`.
 
     Attributes:
         name: Its name in tables.
         env_options: Keywords of `gymnasium.make` for the environment it needs.
+        knows_scene: True if it observes a plan in the whole reconstruction.
         policy: The network.
     """
 
@@ -38,6 +42,7 @@ class PolicyAgent(NamedAgent):
         self.name = name
         self.policy = policy
         self.env_options: Mapping[str, Any] = policy.env_options
+        self.knows_scene = self.env_options.get("observation") in _WITH_PLAN
 
     @classmethod
     def load(cls, policy: str | Path) -> PolicyAgent:

@@ -52,7 +52,7 @@ ReportFile = Annotated[
 _SUCCESS = ("agent", "success [95 %]", "easy", "medium", "hard", "unreachable", "collision")
 _MOTION = ("agent", "planning s", "steps", "joints rad", "tip m", "clearance mm")
 
-_RANKING = ("agent", "success [95 %]", "collision", "first ms", "action ms")
+_RANKING = ("agent", "knows", "success [95 %]", "collision", "first ms", "action ms")
 
 
 def compare(
@@ -208,7 +208,7 @@ def submit(
     workers: Workers = None,
     address: Address = "local",
 ) -> None:
-    """Run the episodes of protocol v1 and write an entry of the leaderboard (docs/results/leaderboard.md).
+    """Run the episodes of protocol v2 and write an entry of the leaderboard (docs/results/leaderboard.md).
 
     Tracks of an existing entry of the same agent, bank and versions are kept. A trial has its own file,
     AGENT.trial.json. An interrupted run resumes from AGENT.TRACK.jsonl, which holds the records of a track until all
@@ -220,15 +220,15 @@ def submit(
     from dataclasses import replace
 
     from greenhouse_gym.agents.named import make_agent
-    from greenhouse_gym.evaluation.leaderboard import V1, read_entry
+    from greenhouse_gym.evaluation.leaderboard import CURRENT, read_entry
     from greenhouse_gym.evaluation.leaderboard import submit as run
 
     folder = _entry_folder(out)
-    player, rules = make_agent(agent), replace(V1, episodes=episodes)
+    player, rules = make_agent(agent), replace(CURRENT, episodes=episodes)
     with executor_of(backend, workers, address) as executor:
         path = run(player, agent, folder, comma_separated(track) or None, rules, num_envs, note, executor)
     _print_leaderboard([read_entry(path)], rules)
-    say(f"{'entry' if rules == V1 else 'trial'} in {path}")
+    say(f"{'entry' if rules == CURRENT else 'trial'} in {path}")
 
 
 def _entry_folder(out: Path | None) -> Path:
@@ -265,13 +265,13 @@ def leaderboard(
     """Print the tables of all entries of a folder, track by track."""
     from greenhouse_gym.common.files import write_atomically
     from greenhouse_gym.errors import FileFormatError
-    from greenhouse_gym.evaluation.leaderboard import V1, read_entry
+    from greenhouse_gym.evaluation.leaderboard import CURRENT, read_entry
 
     folder = _entry_folder(folder)
     entries = [read_entry(path) for path in sorted(folder.glob("*.json"))]
     if not entries:
         raise FileFormatError(folder, "holds no entry; `greenhouse-gym submit` writes one")
-    _print_leaderboard(entries, V1)
+    _print_leaderboard(entries, CURRENT)
     if report is not None:
         from greenhouse_gym.reporting.comparison import leaderboard_report
 

@@ -14,7 +14,7 @@ from threading import TIMEOUT_MAX, Thread
 from types import MappingProxyType
 from typing import Any, ParamSpec, TypeVar
 
-from greenhouse_gym.agents.agent import Agent, knows_truth, own_options
+from greenhouse_gym.agents.agent import Agent, knows_scene, knows_truth, own_options
 from greenhouse_gym.agents.named import agent_of
 from greenhouse_gym.common.own_code import describe, printable
 from greenhouse_gym.errors import GreenhouseError, InvalidValueError, is_number
@@ -149,6 +149,7 @@ class AskedAgent:
         name: Its name.
         env_options: Keywords that it chooses for the environment.
         knows_truth: True if it declares that it knows the truth.
+        knows_scene: False if it declares that it acts on its observation alone.
         acts_on_many: True if it has a method ``act_many``.
     """
 
@@ -156,6 +157,7 @@ class AskedAgent:
     name: str
     env_options: Mapping[str, Any]
     knows_truth: bool
+    knows_scene: bool
     acts_on_many: bool
 
     @classmethod
@@ -174,12 +176,12 @@ class AskedAgent:
 
         def asked() -> AskedAgent:
             name, own = printable(str.__str__(agent.name)), own_options(agent, options)  # of subclasses, too
-            return cls(agent, name, own, knows_truth(agent), hasattr(agent, "act_many"))
+            return cls(agent, name, own, knows_truth(agent), knows_scene(agent), hasattr(agent, "act_many"))
 
         try:
             return Deadline().call(asked)
         except Exception as error:
             kind = type(agent).__name__
             raise AgentError(
-                f"agent {kind} failed to say its name, env_options or knows_truth: {describe(error)}"
+                f"agent {kind} failed to say its name, env_options or what it knows: {describe(error)}"
             ) from error

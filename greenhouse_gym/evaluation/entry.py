@@ -29,17 +29,17 @@ class Protocol:
         seed: Seed of the first episode; episode i has the seed ``seed + i``.
         difficulty: Difficulties of the targets, at their natural frequency.
         timeout: Time limit of each call of the agent, seconds.
-        start: Start configuration, from which the targets of the bank are rated.
+        start: Start configuration, that of the environment by default.
     """
 
-    version: str = "v1"
+    version: str = "v2"
     bank: str = "default"
     split: str = "test"
     episodes: int = 1000
     seed: int = 0
     difficulty: tuple[str, ...] = ("easy", "medium", "hard")
     timeout: float = 120.0
-    start: str = "upright"
+    start: str = "ready"
 
     def as_json(self) -> dict[str, Any]:
         """Return the rules as an entry stores them."""
@@ -54,7 +54,7 @@ class Protocol:
 HARVEST, STANDS = "harvest", 100
 """Track of harvests, and its largest number of stands."""
 
-V1 = Protocol()
+CURRENT = Protocol()
 """The current protocol."""
 
 _DIGITS = 6
@@ -70,6 +70,8 @@ class Entry(BaseModel):
         note: Free text, such as how it was trained and on how many seeds.
         protocol: The protocol.
         bank_sha256: Checksum of the bank's manifest.
+        knows: What the agent acts on: "scene" if it reads all shapes of the reconstruction, or observes a plan in them,
+            "observation" if it acts on measurements around the arm alone.
         action: Kind of action of the episodes, "own" for an object of the agent. Entries from before "tip_velocity"
             became the default do not name it.
         versions: Versions of the packages that the numbers depend on.
@@ -87,6 +89,7 @@ class Entry(BaseModel):
     note: str = ""
     protocol: dict[str, Any]
     bank_sha256: str
+    knows: Literal["scene", "observation"] = "scene"
     action: str = "joint"
     versions: dict[str, str]
     machine: dict[str, str]
@@ -154,7 +157,7 @@ def is_current(entry: Entry) -> bool:
     return entry.bank_sha256 == SceneBank.open(entry.rules.bank).sha256
 
 
-def follows(entry: Entry, protocol: Protocol = V1) -> bool:
+def follows(entry: Entry, protocol: Protocol = CURRENT) -> bool:
     """Return whether an entry follows a protocol; one that does not follow the current protocol is a trial."""
     return entry.protocol == protocol.as_json()
 

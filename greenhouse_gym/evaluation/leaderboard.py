@@ -18,7 +18,16 @@ from greenhouse_gym.crops.crop import PlantMotion
 from greenhouse_gym.envs import EnvSettings, Randomization
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.evaluation.deadline import AskedAgent
-from greenhouse_gym.evaluation.entry import HARVEST, V1, Entry, Protocol, columns_of, follows, is_current, read_entry
+from greenhouse_gym.evaluation.entry import (
+    CURRENT,
+    HARVEST,
+    Entry,
+    Protocol,
+    columns_of,
+    follows,
+    is_current,
+    read_entry,
+)
 from greenhouse_gym.evaluation.harvest import harvest_rows
 from greenhouse_gym.evaluation.journal import RecordJournal, checksum_of, package_versions
 from greenhouse_gym.evaluation.records import Evaluation, Record
@@ -26,7 +35,8 @@ from greenhouse_gym.evaluation.rollouts import AGENTS_CHOICE, changed_rules, eva
 from greenhouse_gym.scene import DIFFICULTIES, SceneBank
 
 __all__ = [
-    "TRACKS", "V1", "Entry", "Protocol", "follows", "is_current", "leaderboard_table", "read_entry", "replay", "submit",
+    "CURRENT", "TRACKS", "Entry", "Protocol", "follows", "is_current", "leaderboard_table", "read_entry", "replay",
+    "submit",
 ]  # fmt: skip
 
 TRACKS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
@@ -36,8 +46,7 @@ TRACKS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
         "moved": {"physics": "truth", "randomization": Randomization(plants=PlantMotion())},
         "brush": {"physics": "truth", "plants": "brush"},
         HARVEST: {
-            "physics": "truth", "plants": "compliant", "task": "harvest", "size": "stand", "start": "ready",
-            "step_limit": 3600,
+            "physics": "truth", "plants": "compliant", "task": "harvest", "size": "stand", "step_limit": 3600,
         },
     }
 )  # fmt: skip
@@ -65,7 +74,7 @@ def submit(
     name: str,
     out: str | Path,
     tracks: Sequence[str] | None = None,
-    protocol: Protocol = V1,
+    protocol: Protocol = CURRENT,
     num_envs: int = 1,
     note: str = "",
     executor: Executor | None = None,
@@ -100,12 +109,13 @@ def submit(
     stem = Path(name).name.replace(":", "-").removesuffix(".json")
     asked = AskedAgent.of(agent)
     action = asked.env_options.get("action", EnvSettings().action)
-    path = Path(out).absolute() / (f"{stem}.json" if protocol == V1 else f"{stem}.trial.json")
+    path = Path(out).absolute() / (f"{stem}.json" if protocol == CURRENT else f"{stem}.trial.json")
     fresh = Entry(
         agent=name,
         note=note,
         protocol=protocol.as_json(),
         bank_sha256=SceneBank.open(protocol.bank).sha256,
+        knows="scene" if asked.knows_scene else "observation",
         action=action if isinstance(action, str) else "own",
         versions=package_versions(),
         machine={},
@@ -143,7 +153,7 @@ def replay(entry: Entry, agent: Agent, track: str, episodes: int = 10) -> list[t
     return list(zip(before, now, strict=True))
 
 
-def leaderboard_tables(entries: Sequence[Entry], protocol: Protocol = V1) -> dict[str, Table]:
+def leaderboard_tables(entries: Sequence[Entry], protocol: Protocol = CURRENT) -> dict[str, Table]:
     """Return a table by track of the entries that follow a protocol on the present bank, best first."""
     ranked = [entry for entry in entries if follows(entry, protocol) and is_current(entry)]
     here = {track: [entry for entry in ranked if track in entry.tracks] for track in TRACKS}
@@ -157,7 +167,7 @@ def leaderboard_tables(entries: Sequence[Entry], protocol: Protocol = V1) -> dic
 
 
 def _reach_rows(entries: Sequence[Entry], track: str) -> Table:
-    heads = ["agent", "episodes", "success [95 %]", "collision", "first ms", "action ms", "at once", "steps"]
+    heads = ["agent", "knows", "episodes", "success [95 %]", "collision", "first ms", "action ms", "at once", "steps"]
     rows = []
     here = [(entry, entry.evaluation(track)) for entry in entries]
     for entry, e in sorted(here, key=lambda pair: -pair[1].success_rate):
@@ -165,6 +175,7 @@ def _reach_rows(entries: Sequence[Entry], track: str) -> Table:
         rows.append(
             [
                 entry.agent,
+                entry.knows,
                 str(len(e.records)),
                 f"{e.success_rate:.1%} [{100 * low:.1f}, {100 * high:.1f}]",
                 f"{e.collision_rate:.1%}",
@@ -177,7 +188,7 @@ def _reach_rows(entries: Sequence[Entry], track: str) -> Table:
     return Table(heads, rows)
 
 
-def leaderboard_notes(entries: Sequence[Entry], protocol: Protocol = V1) -> list[str]:
+def leaderboard_notes(entries: Sequence[Entry], protocol: Protocol = CURRENT) -> list[str]:
     """Return notes on the entries that are not ranked: those of another bank, and those of another protocol."""
     proper = [entry for entry in entries if follows(entry, protocol)]
     stale = [entry.agent for entry in proper if not is_current(entry)]
@@ -186,7 +197,7 @@ def leaderboard_notes(entries: Sequence[Entry], protocol: Protocol = V1) -> list
     return [*notes, *([f"Trials that do not follow the current protocol: {', '.join(trials)}."] if trials else [])]
 
 
-def leaderboard_table(entries: Sequence[Entry], protocol: Protocol = V1) -> str:
+def leaderboard_table(entries: Sequence[Entry], protocol: Protocol = CURRENT) -> str:
     """Return the tables of `leaderboard_tables` as Markdown, with `leaderboard_notes` below them."""
     tables = leaderboard_tables(entries, protocol)
     shown = [f"track {track}\n\n{table.as_markdown()}" for track, table in tables.items()]

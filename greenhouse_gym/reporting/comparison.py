@@ -13,7 +13,7 @@ from greenhouse_gym.errors import GreenhouseError, InvalidValueError
 from greenhouse_gym.evaluation import retrace
 from greenhouse_gym.evaluation.entry import HARVEST
 from greenhouse_gym.evaluation.harvest import harvest_rows, is_harvest
-from greenhouse_gym.evaluation.leaderboard import TRACKS, V1, Entry, Protocol, difficulty_of, follows, is_current
+from greenhouse_gym.evaluation.leaderboard import CURRENT, TRACKS, Entry, Protocol, difficulty_of, follows, is_current
 from greenhouse_gym.evaluation.records import Evaluation, Record, comparison_notes, comparison_rows, difficulties_of
 from greenhouse_gym.reporting import comparison_figures as figures
 from greenhouse_gym.reporting.comparison_figures import colors_of
@@ -147,7 +147,7 @@ def comparison_report(
     return comparison_page(title, tracks, colors, [f"{source}.", *notes], rule, episodes)
 
 
-def leaderboard_report(entries: Sequence[Entry], rules: Protocol = V1) -> str:
+def leaderboard_report(entries: Sequence[Entry], rules: Protocol = CURRENT) -> str:
     """Return the page about those entries of a leaderboard that follow the given rules on the current bank.
 
     Raises:

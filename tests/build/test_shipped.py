@@ -126,27 +126,25 @@ def test_a_training_bank_resumes_and_is_equal_on_any_executor(tmp_path: Path, mo
 
 
 @pytest.mark.timeout(1800)
-@pytest.mark.parametrize("count", [3, pytest.param(100, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("planner", ["OMPL's", "compiled"])
-def test_ratings_of_shipped_targets_are_found_again(count: int, planner: str, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("count", [8, pytest.param(100, marks=pytest.mark.slow)])
+def test_ratings_of_shipped_targets_are_found_again(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Some were once unreachable only because the planner had died while they were rated.
 
-    OMPL's RRTConnect made the ratings, so it finds each again; the compiled one needs other checks, but as many in the
+    OMPL's RRTConnect and an older inverse kinematics made the ratings; today's need other checks, but as many in the
     mean.
     """
+    monkeypatch.setattr(planner_run, "shared_worker", lambda: pytest.fail("OMPL was asked"))
     bank = SceneBank.open("default")
     pool = [(name, target) for name in bank.names() for target in bank.scene(name).targets if target.goals]
-    drawn = np.random.default_rng(count).permutation(len(pool))[:count]
-    if planner == "OMPL's":
-        monkeypatch.setattr(planner_run, "compiled_checker", lambda query, checker: None)
-    agreeing = 0
-    for name, target in (pool[k] for k in drawn):
+    agreeing, goals = 0, []
+    for name, target in (pool[k] for k in np.random.default_rng(count).permutation(len(pool))[:count]):
         found = certify_target(compile_scene(bank.scene(name), get_robot(target.robot)), target.tomato)
-        if planner == "OMPL's":
-            assert found == target.model_copy(update={"unknown": None}), name
-        assert (found.goals, found.witness is None) == (target.goals, target.witness is None)
+        assert (found.witness is None) == (target.witness is None), name
         agreeing += found.difficulty == target.difficulty
+        goals.append((target.goals, found.goals))
     assert agreeing >= 0.9 * count
+    before, now = np.sum(goals, axis=0)
+    assert now == pytest.approx(before, rel=0.05)
 
 
 @pytest.mark.slow

@@ -15,10 +15,18 @@ from greenhouse_gym.cli.main import app
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.evaluation import leaderboard
 from greenhouse_gym.evaluation.entry import STANDS
-from greenhouse_gym.evaluation.leaderboard import TRACKS, V1, leaderboard_table, read_entry, replay, submit, tracks_of
+from greenhouse_gym.evaluation.leaderboard import (
+    CURRENT,
+    TRACKS,
+    leaderboard_table,
+    read_entry,
+    replay,
+    submit,
+    tracks_of,
+)
 from greenhouse_gym.reporting.comparison import leaderboard_report
 
-SHORT = replace(V1, bank="mini", split="validation", episodes=2)
+SHORT = replace(CURRENT, bank="mini", split="validation", episodes=2)
 QUICK = {**TRACKS["harvest"], "step_limit": 5}
 HEADS = ["agent", "stands", "fruit", "crated", "s a fruit", "dropped", "missed", "knocked off / 100", "damaged / 100"]
 
@@ -42,7 +50,11 @@ def test_an_entry_of_two_stands_is_ranked_by_fruit_and_can_be_played_again(tmp_p
 def test_each_agent_has_the_tracks_of_its_task() -> None:
     assert tracks_of(ScanHarvester()) == ("harvest",)
     assert tracks_of(RandomAgent()) == ("reconstruction", "truth", "moved", "brush")
-    assert (V1.episodes_on("truth"), V1.episodes_on("harvest"), SHORT.episodes_on("harvest")) == (1000, STANDS, 2)
+    assert (CURRENT.episodes_on("truth"), CURRENT.episodes_on("harvest"), SHORT.episodes_on("harvest")) == (
+        1000,
+        STANDS,
+        2,
+    )
 
 
 def test_an_oracle_has_no_entry(tmp_path: Path) -> None:

@@ -40,12 +40,12 @@ from greenhouse_gym.evaluation import (
 )
 from greenhouse_gym.evaluation.entry import columns_of
 from greenhouse_gym.evaluation.journal import RecordJournal
-from greenhouse_gym.evaluation.leaderboard import V1, Entry, read_entry, submit
+from greenhouse_gym.evaluation.leaderboard import CURRENT, Entry, read_entry, submit
 from greenhouse_gym.evaluation.records import Record, pairing, pairings
 from greenhouse_gym.reporting.comparison_figures import pairs_table
 from greenhouse_gym.scene import SceneBank
 
-SHORT = replace(V1, bank="mini", split="validation", episodes=2)
+SHORT = replace(CURRENT, bank="mini", split="validation", episodes=2)
 
 
 class Quit(BaseException):
@@ -303,7 +303,7 @@ class Secretive(StillAgent):
         return sys.exit(name) if name in object.__getattribute__(self, "secrets") else super().__getattribute__(name)
 
 
-@pytest.mark.parametrize("secret", ["name", "env_options", "knows_truth", "act_many"])
+@pytest.mark.parametrize("secret", ["name", "env_options", "knows_truth", "knows_scene", "act_many"])
 def test_an_agent_that_quits_when_it_is_asked_ends_no_comparison(bank: SceneBank, secret: str) -> None:
     named = StillAgent()
     named.name = Name("named")

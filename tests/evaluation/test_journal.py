@@ -16,11 +16,11 @@ from greenhouse_gym.cli.main import app
 from greenhouse_gym.errors import FileFormatError
 from greenhouse_gym.evaluation import AgentError, Record, evaluate
 from greenhouse_gym.evaluation.journal import RecordJournal, checksum_of
-from greenhouse_gym.evaluation.leaderboard import V1, read_entry, submit
+from greenhouse_gym.evaluation.leaderboard import CURRENT, read_entry, submit
 from greenhouse_gym.scene import SceneBank
 
 ABOUT = {"agent": "random", "bank": "mini"}
-SHORT = replace(V1, bank="mini", split="validation", episodes=3)
+SHORT = replace(CURRENT, bank="mini", split="validation", episodes=3)
 
 
 class Interrupted(RandomAgent):

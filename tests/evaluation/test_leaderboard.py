@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +20,7 @@ from greenhouse_gym.common.executors import workers_of
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, UnknownNameError
 from greenhouse_gym.evaluation import leaderboard
 from greenhouse_gym.evaluation.leaderboard import (
-    V1,
+    CURRENT,
     Entry,
     follows,
     is_current,
@@ -33,7 +34,7 @@ from greenhouse_gym.evaluation.records import Evaluation, Record, pairing
 from greenhouse_gym.scene import SceneBank
 
 REACHES = tracks_of(RandomAgent())
-SHORT = replace(V1, bank="mini", split="validation", episodes=2)
+SHORT = replace(CURRENT, bank="mini", split="validation", episodes=2)
 FOLDER = Path(__file__).parents[2] / "benchmarks" / "leaderboard"
 ENTRIES = sorted(path for path in FOLDER.glob("*.json") if not path.name.endswith(".trial.json"))
 
@@ -61,6 +62,20 @@ def test_an_entry_can_be_played_again(entry: Entry) -> None:
         assert before.joint_length == pytest.approx(now.joint_length, abs=1e-5)
     still = replay(entry, StillAgent(), "truth", 1)
     assert still[0][0].joint_length != still[0][1].joint_length, "a replay by another agent is detected"
+
+
+def test_an_entry_says_what_its_agent_knows(entry: Entry, tmp_path: Path) -> None:
+    assert entry.knows == "observation"
+    one = replace(SHORT, episodes=1)
+    knows = {
+        "ppo-ur5e": "observation",
+        "ppo-roadmap-ur5e": "scene",
+        "shielded-ppo-ur5e": "scene",
+        "straight-line": "scene",
+    }
+    entries = [read_entry(submit(make_agent(name), name, tmp_path, ["reconstruction"], one)) for name in knows]
+    assert {entry.agent: entry.knows for entry in entries} == knows
+    assert re.search(r"straight-line +\| +scene", leaderboard_table(entries, one))
 
 
 class Dice(RandomAgent):
@@ -123,7 +138,7 @@ def test_entries_are_ranked_within_each_track(entry: Entry) -> None:
 
 
 def test_a_trial_leaves_the_entry_alone(entry: Entry, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(leaderboard, "V1", SHORT)
+    monkeypatch.setattr(leaderboard, "CURRENT", SHORT)
     proper = submit(RandomAgent(), "random", tmp_path, ["truth"], SHORT)
     before = proper.read_bytes()
     trial = submit(RandomAgent(), "random", tmp_path, ["truth"], replace(SHORT, episodes=1))
@@ -193,7 +208,7 @@ def test_an_entry_is_the_same_wherever_it_is_played_and_says_where(entry: Entry,
 
 
 def test_the_command_plays_in_processes(entry: Entry, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(leaderboard, "V1", SHORT)
+    monkeypatch.setattr(leaderboard, "CURRENT", SHORT)
     asked = ["submit", "random", "--out", str(tmp_path), "--track", "truth", "--episodes", "1"]
     result = CliRunner().invoke(app, [*asked, "--backend", "processes", "--workers", "2"])
     assert result.exit_code == 0, repr(result.exception)

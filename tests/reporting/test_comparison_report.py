@@ -21,7 +21,7 @@ from greenhouse_gym.agents import RandomAgent, StraightLineAgent
 from greenhouse_gym.cli import app
 from greenhouse_gym.errors import FileWriteError, InvalidValueError
 from greenhouse_gym.evaluation import retrace
-from greenhouse_gym.evaluation.leaderboard import V1, submit
+from greenhouse_gym.evaluation.leaderboard import CURRENT, submit
 from greenhouse_gym.evaluation.records import Evaluation, Record
 from greenhouse_gym.reporting.comparison import comparison_page, dividing_episodes
 from greenhouse_gym.reporting.comparison_figures import (
@@ -269,19 +269,19 @@ def test_what_was_played_is_reported_even_if_an_episode_cannot_be_played_again(
 
 
 def test_the_leaderboard_has_a_page_too(tmp_path: Path) -> None:
-    trial = submit(RandomAgent(), "random", tmp_path, ["reconstruction"], replace(V1, episodes=2), note="dice")
+    trial = submit(RandomAgent(), "random", tmp_path, ["reconstruction"], replace(CURRENT, episodes=2), note="dice")
     out = tmp_path / "page.html"
     refused = CliRunner().invoke(app, ["leaderboard", str(tmp_path), "--report", str(out)])
     assert isinstance(refused.exception, InvalidValueError), "a trial alone gives no page"
     entry = json.loads(trial.read_text())
-    entry["protocol"]["episodes"] = V1.episodes  # as if there were so many
-    columns = {name: values * (V1.episodes // 2) for name, values in entry["tracks"]["reconstruction"].items()}
-    entry["tracks"]["reconstruction"] = columns | {"seed": list(range(V1.episodes))}
+    entry["protocol"]["episodes"] = CURRENT.episodes  # as if there were so many
+    columns = {name: values * (CURRENT.episodes // 2) for name, values in entry["tracks"]["reconstruction"].items()}
+    entry["tracks"]["reconstruction"] = columns | {"seed": list(range(CURRENT.episodes))}
     for name in ("random", STILL, "gone.py:Agent"):  # who played does not matter here
         (tmp_path / f"{name[:5]}.json").write_text(json.dumps({**entry, "agent": name}))
     run("leaderboard", tmp_path, "--report", out)
     html = out.read_text()
-    assert "<h1>Leaderboard, protocol v1</h1>" in html
+    assert "<h1>Leaderboard, protocol v2</h1>" in html
     assert "random: dice" in html
     assert "gone.py:Agent is not shown in 3-D: gone.py: there is no such file" in html
     assert [[m["name"] for m in data_of(f)["motions"]] for f in frames(html)] == [["random", STILL]] * 4  # type: ignore[attr-defined]
