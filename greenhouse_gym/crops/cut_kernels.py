@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from greenhouse_gym.common.jit import inlined, kernel
+from greenhouse_gym.geometry import Array
 
 
 @inlined
@@ -56,7 +57,9 @@ def _volume(points, beyond, side, angles, tolerance, deep):
 
 
 @kernel("Tuple((i8, f8))(f8[:,::1], f8[::1], f8[::1], f8[:,::1], f8, f8)")
-def best_cut(points, half_extents, cuts, angles, tolerance, min_half):
+def best_cut(
+    points: Array, half_extents: Array, cuts: Array, angles: Array, tolerance: float, min_half: float
+) -> tuple[int, float]:
     """Return axis and position of the cut of a piece that minimizes the boxes around both parts.
 
     Args:

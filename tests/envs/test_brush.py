@@ -8,6 +8,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from reach_helpers import REACH, scene_of, tool_at
 
 from greenhouse_gym.crops.parts import MAX_LEAF, SpaceBox, Tomato, is_leaf
 from greenhouse_gym.envs import GreenhouseEnv, GreenhouseVectorEnv, Randomization
@@ -23,7 +24,6 @@ from greenhouse_gym.scene import Scene, SceneBank, Shapes, compile_scene
 from greenhouse_gym.scene.mjcf import YIELDING, make_yielding
 from greenhouse_gym.scene.occupancy import boxes_covering
 from greenhouse_gym.scene.truth import true_scene
-from tests.envs.reach_helpers import REACH, scene_of, tool_at
 
 KEYWORDS: dict[str, Any] = {"bank": "mini", "physics": "truth", "plants": "brush", "action": "tip_velocity"}
 
