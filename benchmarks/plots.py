@@ -36,10 +36,10 @@ COLORS = ("#2e9e5b", "#e8704a", "#4f8fd9", "#c9a227", "#a56cc1", "#7f8c8d")
 AGENTS = (
     "watchful",
     "RRTConnect",
-    "hybrid",
-    "shielded",
     "ppo-roadmap-ur5e",
-    "ppo-roadmap-scratch-ur5e",
+    "shielded-ppo-warp-ur5e",
+    "ppo-warp-ur5e",
+    "ppo-ur5e",
     "straight-line",
 )
 TRACKS = ("reconstruction", "truth", "moved")
@@ -217,7 +217,7 @@ def drift() -> Figure:
 def waits() -> Figure:
     """Draw the distribution of the computing time of an episode by agent, in the true row."""
     figure, axes = plt.subplots(figsize=(8, 3.6))
-    for k, agent in enumerate(("ppo-roadmap-ur5e", "hybrid", "watchful")):
+    for k, agent in enumerate(("ppo-warp-ur5e", "RRTConnect", "watchful")):
         records = json.loads((LEADERBOARD / f"{agent}.json").read_text())["tracks"]["truth"]
         steps = np.maximum(np.array(records["steps"]), 1)
         seconds = np.array(records["planning_time"]) + steps * np.array(records["action_time"])
@@ -296,6 +296,7 @@ def tomatoes() -> Figure:
 
 DRAWN: tuple[Callable[[], Figure], ...] = (
     agents,
+    choice,
     difficulty,
     learning,
     gpu,

@@ -105,7 +105,10 @@ def test_commands_named_in_passing_exist() -> None:
         for mentioned in re.findall(r"`greenhouse-gym ([^`]*)`", page.read_text()):
             words = mentioned.split()
             assert words[0] in known, f"{name(page)}: {mentioned}"
-            options = {option for parameter in known[words[0]].params for option in parameter.opts}
+            command = known[words[0]]
+            if len(words) > 1:  # of a group
+                command = getattr(command, "commands", {}).get(words[1], command)
+            options = {option for parameter in command.params for option in parameter.opts}
             assert {word for word in words if word.startswith("--")} <= options, f"{name(page)}: {mentioned}"
 
 

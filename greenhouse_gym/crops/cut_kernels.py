@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 
-from greenhouse_gym.common.jit import inlined, kernel
+from greenhouse_gym.common.jit import allocating, kernel
 from greenhouse_gym.geometry import Array
 
 
-@inlined
+@allocating
 def _volume(points, beyond, side, angles, tolerance, deep):
     """Return the volume of the box around the points on one side of a cut, with the tolerance added to its depth."""
     middle, moments, apart = np.zeros(3), np.zeros((3, 3)), np.empty(3)
