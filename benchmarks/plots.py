@@ -37,12 +37,11 @@ AGENTS = (
     "watchful",
     "RRTConnect",
     "ppo-roadmap-ur5e",
-    "shielded-ppo-warp-ur5e",
     "ppo-warp-ur5e",
     "ppo-ur5e",
     "straight-line",
 )
-TRACKS = ("reconstruction", "truth", "moved")
+TRACKS = ("reconstruction", "truth", "brush")
 DIFFICULTIES = ("easy", "medium", "hard")
 
 
@@ -100,9 +99,9 @@ def agents() -> Figure:
 
 def choice() -> Figure:
     """Draw successes and collisions against the time to the first motion, by what agents know."""
-    figure, panels = plt.subplots(1, 2, figsize=(9, 4.2), sharey=True)
+    figure, panels = plt.subplots(1, 3, figsize=(11, 4), sharey=True)
     entries = [entry for agent in AGENTS if is_current(entry := read_entry(LEADERBOARD / f"{agent}.json"))]
-    for axes, track in zip(panels, ("reconstruction", "truth"), strict=True):
+    for axes, track, title in zip(panels, TRACKS, ("row as scanned", "true row", "leaves give way"), strict=True):
         for entry in entries:
             if track not in entry.tracks:
                 continue
@@ -114,7 +113,8 @@ def choice() -> Figure:
             axes.plot(x, 100 * e.success_rate, "o", color=color)
             axes.annotate(entry.agent, (x, 100 * e.success_rate), (4, 4), textcoords="offset points", fontsize=7)
         axes.set_xscale("log")
-        axes.set_title("row as scanned" if track == "reconstruction" else "true row")
+        axes.set_title(title)
+        axes.set_xlim(0.5, 2000)
         axes.set_xlabel("ms to the first motion")
         axes.set_ylim(-3, 108)
     panels[0].set_ylabel("reached (o), collided (x), %")
