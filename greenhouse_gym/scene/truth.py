@@ -54,7 +54,7 @@ def start_is_collision_free(scene: Scene, robot: str | Robot) -> bool:
     if scene.truth is None or not scene.truth.counts[0]:
         return True
     compiled = compile_scene(true_scene(scene), robot)
-    return not any(touches_plants(compiled, q) for q in (compiled.robot.start, compiled.robot.rating_start))
+    return not any(is_in_plants(compiled, q) for q in (compiled.robot.start, compiled.robot.rating_start))
 
 
 def own_start(compiled: CompiledScene) -> Array:
@@ -64,10 +64,10 @@ def own_start(compiled: CompiledScene) -> Array:
     plants move.
     """
     robot = compiled.robot
-    return robot.rating_start if touches_plants(compiled, robot.start) else robot.start
+    return robot.rating_start if is_in_plants(compiled, robot.start) else robot.start
 
 
-def touches_plants(compiled: CompiledScene, configuration: Array) -> bool:
+def is_in_plants(compiled: CompiledScene, configuration: Array) -> bool:
     """Return whether an arm in a configuration (joints,) touches plants.
 
     Contacts with the floor, the cart and the arm itself do not count.

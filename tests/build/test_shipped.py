@@ -184,7 +184,7 @@ def test_ratings_of_shipped_targets_are_found_again(count: int, monkeypatch: pyt
 
 @pytest.mark.slow
 def test_shipped_arms_begin_in_no_true_plants_but_one() -> None:
-    """The leaves of one scene, cut into boxes anew after it was built, reach to the arm's own start."""
+    """The leaves of one scene, cut into boxes again after it was built, reach to the arm's own start."""
     touched = [scene.name for scene in SceneBank.open("default") if not start_is_collision_free(scene, "ur5e")]
     assert touched == ["helios-beefsteak-2009-w09-03"]
 

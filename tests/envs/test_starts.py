@@ -8,10 +8,10 @@ import pytest
 
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import SceneBank, compile_scene
-from greenhouse_gym.scene.truth import own_start, start_is_collision_free, touches_plants, true_scene
+from greenhouse_gym.scene.truth import is_in_plants, own_start, start_is_collision_free, true_scene
 
 TOUCHED = "helios-beefsteak-2009-w09-03"
-"""The shipped scene whose true leaves, cut into boxes anew after it was built, reach to the arm's own start."""
+"""The shipped scene whose true leaves, cut into boxes again after it was built, reach to the arm's own start."""
 
 
 def begun(start: str | None = None, options: dict[str, Any] | None = None, **settings: Any) -> tuple[Any, Any]:
@@ -63,5 +63,5 @@ def test_only_one_shipped_scene_touches_the_arm() -> None:
     near = [name for name in bank.names("test") if name.startswith(TOUCHED[:-3])]
     assert [name for name in near if not start_is_collision_free(bank.scene(name), "ur5e")] == [TOUCHED]
     compiled = compile_scene(true_scene(bank.scene(TOUCHED)), "ur5e")
-    assert touches_plants(compiled, compiled.robot.start)
-    assert not touches_plants(compiled, own_start(compiled))
+    assert is_in_plants(compiled, compiled.robot.start)
+    assert not is_in_plants(compiled, own_start(compiled))
