@@ -199,7 +199,8 @@ def test_a_shipped_recording_is_built_again(tmp_path: Path) -> None:
     for name in made.names():
         now, before = made.scene(name), bank.scene(name)
         assert now.placement.model_dump_json() == before.placement.model_dump_json()
-        assert now.truth is not None and before.truth is not None
+        assert now.truth is not None
+        assert before.truth is not None
         assert now.truth.counts == before.truth.counts
         one, other = (np.array([tomato.center for tomato in scene.tomatoes]) for scene in (now, before))
         apart = np.linalg.norm(one[:, None] - other[None], axis=2)
