@@ -17,9 +17,10 @@ from greenhouse_gym.geometry import Box, Capsule, Ellipsoid, Sphere, arrays_of
 from greenhouse_gym.scene import SceneBank, compile_scene
 from greenhouse_gym.scene.obstacle_slots import TYPES, geoms_of
 from greenhouse_gym.scene.plants.detachment import detach, load_of, weld
+from greenhouse_gym.scene.plants.filling import merged
 from greenhouse_gym.scene.plants.layout import LOOSE, Layout
 from greenhouse_gym.scene.plants.mechanics import GRAVITY, HINGE_ARMATURE, VARYING, PlantMechanics, mass_properties
-from greenhouse_gym.scene.plants.slots import merged, plant
+from greenhouse_gym.scene.plants.slots import plant
 from greenhouse_gym.scene.plants.topology import topology_of
 from greenhouse_gym.scene.truth import true_scene
 

@@ -20,7 +20,7 @@ from greenhouse_gym.geometry import Array, rotation_about
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import Scene
 from greenhouse_gym.scene.mjcf import base_position
-from greenhouse_gym.scene.plants.layout import ATTACHED, Layout
+from greenhouse_gym.scene.plants.layout import ATTACHED, ROW_REACH, Layout
 from greenhouse_gym.scene.plants.mechanics import PlantMechanics
 
 RIPE = 0.6
@@ -51,9 +51,6 @@ TOOLS = ("suction", "cutter")
 
 STEP_LIMITS: Mapping[str, int] = MappingProxyType({"pick": 400, "truss": 4000, "stand": 6000, "row": 18000})
 """Steps after which an episode of each size is truncated: 20, 200, 300 and 900 s."""
-
-ROW_REACH = 0.8
-"""Distance from the shoulder of an arm, at its nearest place on the rail, within which fruit of a row are picked, m."""
 
 COUNTED = ("detached", "crated", "dropped", "knocked", "damaged")
 """Counts of an episode, see `greenhouse_gym.envs.state.PLANTS`."""
@@ -231,7 +228,8 @@ class TomatoHarvest(Task):
             within = [k for tomato, k in ripe.items() if tomato in reachable]
             trusses = Counter(tomatoes[k].truss for k in within)
             chosen = [truss for truss, count in trusses.most_common() if count <= self.layout.fruit]
-            chosen = chosen[: self.layout.trusses]
+            if not along or self.layout.cutter:  # otherwise slots move on along the row
+                chosen = chosen[: self.layout.trusses]
             fruit = sorted(k for k in within if tomatoes[k].truss in chosen)
         largest = max((sum(t.truss == truss for t in tomatoes) for truss in chosen), default=0)
         ripest = max((sum(tomatoes[k].truss == truss for k in fruit) for truss in chosen), default=0)
