@@ -150,6 +150,9 @@ class RowPlants(LivePlants):
         build_tree(self.model)
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_comPos(self.model, self.data)
+        for geom in self._static(back).tolist():  # kinematics leave out what is static
+            self.data.geom_xpos[geom] = self.model.geom_pos[geom]
+            mujoco.mju_quat2Mat(self.data.geom_xmat[geom], self.model.geom_quat[geom])
 
     def _leaf_swaps(self, touched: Ints) -> list[tuple[int, Leaf]]:
         """Return slots of leaves with the leaves that they go to."""
