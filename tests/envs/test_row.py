@@ -23,8 +23,10 @@ from greenhouse_gym.envs.environment import GreenhouseEnv
 from greenhouse_gym.envs.tasks.harvest import TomatoHarvest
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array, arrays_of, pose
+from greenhouse_gym.motion.distance_field import NO_TOMATO, FieldStore
 from greenhouse_gym.robots import mount_on_rail
 from greenhouse_gym.scene import ArmPlacement, Scene
+from greenhouse_gym.scene.mjcf import base_position
 from greenhouse_gym.scene.plants.layout import Layout
 from greenhouse_gym.scene.plants.live import CRATED, HANGING, LOST, WAITING, LivePlants
 from greenhouse_gym.scene.plants.live_scene import live_scene
@@ -231,8 +233,31 @@ def test_an_oracle_picks_fruit_that_had_no_slot(env: GreenhouseEnv) -> None:
     assert info["crated"] == len(crated)
 
 
+def test_distances_and_the_fruit_in_work_follow_the_cart(env: GreenhouseEnv) -> None:
+    env.reset(seed=0)
+    for _ in range(84):
+        env.step(to(1))
+    state, rail = env.simulation.state, float(env.simulation.joints[0, 0])
+    assert state is not None
+    ripe = centers(env)[plants_of(env).wanted[hanging(env)]]
+    work = np.linalg.norm(ripe - env.simulation.tip(0), axis=1).min()
+    assert np.linalg.norm(state.target[0] - state.tip[0]) == pytest.approx(work, abs=1e-6)
+    points = state.tip[:, None] + np.random.default_rng(0).uniform([0, -0.2, -0.6], [0.3, 0.2, 0.3], (50, 3))
+    found, _ = state.distances_at(points)
+    solid, base = scene().arrays, base_position(scene(), env.simulation.robot)
+    solid = solid.select(np.delete(np.arange(scene().count), scene().leaves))
+    store = FieldStore()
+    slot = store.add(solid, len(scene().tomatoes), pose(translation=base + [0.0, 1.0, 0.0]))
+    expected, _ = store.lookup(np.array([slot]), np.full(1, NO_TOMATO), points - [0.0, 1.0, 0.0])
+    assert rail == pytest.approx(1.0, abs=0.12)
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+    assert len(np.unique(found)) > 20
+
+
 def test_more_ripe_fruit_on_a_truss_than_in_a_slot_are_refused() -> None:
     topology = topology_of(scene().truth, "long")
     truss = max(topology.trusses, key=lambda one: len(one.fruit))
-    with pytest.raises(InvalidValueError, match=r"fruit on 1 trusses, up to \d+ on one, do not fit into 3 slots of 2 fruit"):
+    with pytest.raises(
+        InvalidValueError, match=r"fruit on 1 trusses, up to \d+ on one, do not fit into 3 slots of 2 fruit"
+    ):
         check_fits(topology, [one.row for one in truss.fruit], Layout(3, 2, 4), "long", moves_on=True)

@@ -41,10 +41,10 @@ MOVING = 0.01
 _DRAWS = 256  # draws of an episode until one fits into the slots
 
 SIZES: Mapping[str, Layout] = MappingProxyType(
-    {"pick": Layout(1, 8, 8), "truss": Layout(1, 20, 8), "stand": Layout(4, 6, 8), "row": Layout(12, 6, 16)}
+    {"pick": Layout(1, 8, 8), "truss": Layout(1, 20, 8), "stand": Layout(4, 6, 8), "row": Layout(8, 6, 12)}
 )
-"""Sizes of the task with their slots: one fruit, all ripe fruit of a truss, those of up to four trusses, or of up to
-twelve along a row."""
+"""Sizes of the task with their slots: one fruit, all ripe fruit of a truss, those of up to four trusses, or all along
+a row, whose slots move on with the cart."""
 
 TOOLS = ("suction", "cutter")
 """Tools that hold a fruit, or cut a peduncle and hold the truss."""
@@ -110,7 +110,7 @@ HARVEST_FEATURES: Mapping[str, Feature] = MappingProxyType(
         ),
         "wrist_force": Feature(lambda s: s.plants["force"], lambda r: _bounds(*[(-MAX_FORCE, MAX_FORCE)] * 3)),
         "fruit_radius": Feature(lambda s: s.plants["radius"][:, None], lambda r: _bounds((0, 0.2))),
-        "fruit_left": Feature(lambda s: s.plants["left"][:, None], lambda r: _bounds((0, 100))),
+        "fruit_left": Feature(lambda s: s.plants["left"][:, None], lambda r: _bounds((0, 1000 if r.on_rail else 100))),
         "pedicel": Feature(
             lambda s: s.plants["joint"] - s.plants["fruit"], lambda r: _bounds(*[(-MAX_PEDICEL, MAX_PEDICEL)] * 3)
         ),
@@ -145,7 +145,8 @@ class TomatoHarvest(Task):
     Attributes:
         size: "pick" (one fruit), "truss" (all ripe fruit of its truss), "stand" (the ripe fruit within reach of the
             ripest trusses, as many as have a slot) or "row" (the same along the rail of an arm of
-            `greenhouse_gym.robots.mount_on_rail`, whose first joint drives arm and crate).
+            `greenhouse_gym.robots.mount_on_rail`, whose first joint drives arm and crate; slots move on to the fruit
+            that come within reach).
         ripe: Ripeness from which a fruit is picked.
         max_damage: Number of damaged organs that an episode survives.
         layout: Slots for compliant plants, and the crate; None for those of the size.

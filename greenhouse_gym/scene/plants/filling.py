@@ -15,7 +15,16 @@ from greenhouse_gym.scene.geom_order import first_world_geom
 from greenhouse_gym.scene.mjcf import colors_of
 from greenhouse_gym.scene.obstacle_slots import build_tree, write_geoms
 from greenhouse_gym.scene.plants.detachment import first_geom, update_constants
-from greenhouse_gym.scene.plants.layout import ALL, EMPTY_INERTIA, EMPTY_MASS, EMPTY_SIZE, LOOSE, PEDICEL, PLATES, SlotIds
+from greenhouse_gym.scene.plants.layout import (
+    ALL,
+    EMPTY_INERTIA,
+    EMPTY_MASS,
+    EMPTY_SIZE,
+    LOOSE,
+    PEDICEL,
+    PLATES,
+    SlotIds,
+)
 from greenhouse_gym.scene.plants.mechanics import PlantMechanics, mass_properties
 from greenhouse_gym.scene.plants.topology import Branch, Fruit, Leaf, Truss
 

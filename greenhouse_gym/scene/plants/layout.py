@@ -161,7 +161,12 @@ def _fill_empty(body: mujoco.MjsBody, geoms: int) -> None:
 def _empty_geom(body: mujoco.MjsBody) -> None:
     # with a mask: geoms without one have no node in the tree of bounding volumes
     body.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[EMPTY_SIZE, 0, 0], mass=0, rgba=[0, 0, 0, 0], contype=0, conaffinity=ALL
+        type=mujoco.mjtGeom.mjGEOM_SPHERE,
+        size=[EMPTY_SIZE, 0, 0],
+        mass=0,
+        rgba=[0, 0, 0, 0],
+        contype=0,
+        conaffinity=ALL,
     )
 
 

@@ -63,7 +63,7 @@ def live_scene(plants: LivePlants, compiled: CompiledScene, leaves: bool, around
 
 
 def motions(plants: LivePlants) -> dict[int, Array]:
-    """Return the motions (4, 4) since the scan of the shapes that have moved, by their rows; fruit that came off aside."""
+    """Return the motions (4, 4) since the scan of the shapes that have moved, by their rows, without loose fruit."""
     planted, model, data, result = plants.planted, plants.model, plants.data, dict(plants.motions)
 
     def move(rows: Sequence[int], body: int, origin: Array) -> None:

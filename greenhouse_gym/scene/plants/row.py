@@ -44,19 +44,19 @@ class RowPlants(LivePlants):
         waiting = np.setdiff1d(np.flatnonzero(gaps < ROW_REACH), self.seated)
         if not len(waiting):
             return
-        touched: Ints = np.unique(self.data.contact.geom)
+        in_contact: Ints = np.unique(self.data.contact.geom)
         near = [
             truss for truss in waiting[gaps[waiting].argsort(kind="stable")].tolist()
-            if not np.isin(self._static(self._rows(truss)[0]), touched).any()
+            if not np.isin(self._static(self._rows(truss)[0]), in_contact).any()
         ]  # fmt: skip
         own = np.where(self.seated >= 0, gaps[self.seated], np.inf)
         free = [
             slot for slot in (-own).argsort(kind="stable").tolist()
-            if own[slot] > ROW_REACH + BEHIND and self._may_leave(slot, touched)
+            if own[slot] > ROW_REACH + BEHIND and self._may_leave(slot, in_contact)
         ]  # fmt: skip
         swaps = list(zip(free, near, strict=False))
         if swaps:
-            self._swap(swaps, touched)
+            self._swap(swaps, in_contact)
 
     def joint_of(self, fruit: int) -> Array:
         """Return the start (3,) of the pedicel of a fruit on its rachis, metres."""
@@ -84,17 +84,17 @@ class RowPlants(LivePlants):
         gaps = np.where(left, np.sqrt((apart * apart).sum(axis=1)), np.inf)
         return np.asarray(gaps.reshape(-1, self._layout.fruit).min(axis=1))
 
-    def _may_leave(self, slot: int, touched: Ints) -> bool:
+    def _may_leave(self, slot: int, in_contact: Ints) -> bool:
         """Return whether a slot is empty, or its truss hangs still, alone and with no fruit on the move."""
         ids, truss = self._ids, int(self.seated[slot])
         moving = np.append(self._loose_of, self.held) // self._layout.fruit
-        return truss < 0 or (truss not in moving and self._is_idle([ids.truss[slot], *ids.fruit[slot]], touched))
+        return truss < 0 or (truss not in moving and self._is_idle([ids.truss[slot], *ids.fruit[slot]], in_contact))
 
-    def _is_idle(self, bodies: Sequence[int], touched: Ints) -> bool:
+    def _is_idle(self, bodies: Sequence[int], in_contact: Ints) -> bool:
         """Return whether bodies stand still and touch nothing."""
         model = self.model
         moving = np.abs(self.data.qvel[np.isin(model.dof_bodyid, bodies)]).max() >= IDLE_SPEED
-        return not moving and not np.isin(model.geom_bodyid[touched], bodies).any()
+        return not moving and not np.isin(model.geom_bodyid[in_contact], bodies).any()
 
     def _rows(self, truss: int) -> tuple[list[int], list[int], list[int]]:
         """Return the rows of a truss with its fruit, of their calyces, and of the stubs of fruit that came off."""
@@ -106,24 +106,27 @@ class RowPlants(LivePlants):
         stubs = [row for one, there in zip(live, hangs, strict=True) if not there for row in one.pedicel]
         return solid, [row for one in fruit for row in one.calyx], stubs
 
-    def _swap(self, swaps: Sequence[tuple[int, int]], touched: Ints) -> None:
+    def _swap(self, swaps: Sequence[tuple[int, int]], in_contact: Ints) -> None:
         """Give slots to other trusses, and slots of leaves to the leaves around the fruit in slots.
 
         Args:
             swaps: Slots and trusses.
-            touched: Geoms in contact.
+            in_contact: Geoms in contact.
         """
         planted, ids, now = self.planted, self._ids, motions(self)
         numbers = np.arange(len(self.state)).reshape(-1, self._layout.fruit)
-        solid, soft, stubs = [], [], []
+        states = self.state.reshape(numbers.shape)
+        solid: list[int] = []
+        soft: list[int] = []
+        stubs: list[int] = []
         for slot, truss in swaps:
             old, self.seated[slot] = int(self.seated[slot]), truss
             if old >= 0:
                 for rows, more in zip((solid, soft, stubs), self._rows(old), strict=True):
                     rows += more
-                self.state[numbers[old]] = np.where(self.state[numbers[old]] == HANGING, WAITING, self.state[numbers[old]])
-            self.state[numbers[truss]] = np.where(self.state[numbers[truss]] == WAITING, HANGING, self.state[numbers[truss]])
-        leaves = self._leaf_swaps(touched)
+                states[old, states[old] == HANGING] = WAITING
+            states[truss, states[truss] == WAITING] = HANGING
+        leaves = self._leaf_swaps(in_contact)
         kept = list(self.leaves)
         for k, leaf in leaves:
             soft += [*kept[k].rows, *kept[k].plates]
@@ -142,7 +145,7 @@ class RowPlants(LivePlants):
             seat(filler, planted, slot, truss)
             self._bodies[numbers[truss]] = ids.fruit[slot]
             self._axes[numbers[truss]] = self._pedicel_axes(ids.fruit[slot])
-            for body in ids.fruit[slot][self.state[numbers[truss]] > HANGING].tolist():
+            for body in ids.fruit[slot][states[truss] > HANGING].tolist():
                 leave_stub(self.model, self.data, body)
         for k, leaf in leaves:
             filler.leaf(int(ids.leaf[k]), leaf)
@@ -154,18 +157,18 @@ class RowPlants(LivePlants):
             self.data.geom_xpos[geom] = self.model.geom_pos[geom]
             mujoco.mju_quat2Mat(self.data.geom_xmat[geom], self.model.geom_quat[geom])
 
-    def _leaf_swaps(self, touched: Ints) -> list[tuple[int, Leaf]]:
+    def _leaf_swaps(self, in_contact: Ints) -> list[tuple[int, Leaf]]:
         """Return slots of leaves with the leaves that they go to."""
         planted, arrays = self.planted, self.planted.compiled.scene.arrays
         rows = planted.fruit.ravel()[self.wanted & (self.state == HANGING)]
         nearest = nearest_leaves(planted.topology, arrays, arrays.starts[rows], len(self.leaves))
         fresh = [
             leaf for leaf in nearest
-            if leaf not in self.leaves and not np.isin(self._static([*leaf.rows, *leaf.plates]), touched).any()
+            if leaf not in self.leaves and not np.isin(self._static([*leaf.rows, *leaf.plates]), in_contact).any()
         ]  # fmt: skip
         free = [
             k for k, leaf in enumerate(self.leaves)
-            if leaf not in nearest and self._is_idle([self._ids.leaf[k]], touched)
+            if leaf not in nearest and self._is_idle([self._ids.leaf[k]], in_contact)
         ]  # fmt: skip
         return list(zip(free, fresh, strict=False))
 
