@@ -41,19 +41,19 @@ class RowPlants(LivePlants):
         if not (self.wanted & (self.state == WAITING)).any():
             return
         gaps = self._gaps()
-        waiting = np.setdiff1d(np.flatnonzero(gaps < ROW_REACH), self.seated)
-        if not len(waiting):
+        own = np.where(self.seated >= 0, gaps[self.seated], np.inf)
+        late = own > ROW_REACH + BEHIND
+        waiting = [truss for truss in np.flatnonzero(gaps < ROW_REACH).tolist() if truss not in self.seated]
+        if not late.any() or not waiting:
             return
         in_contact: Ints = np.unique(self.data.contact.geom)
         near = [
-            truss for truss in waiting[gaps[waiting].argsort(kind="stable")].tolist()
+            truss for truss in sorted(waiting, key=lambda truss: float(gaps[truss]))
             if not np.isin(self._static(self._rows(truss)[0]), in_contact).any()
         ]  # fmt: skip
-        own = np.where(self.seated >= 0, gaps[self.seated], np.inf)
         free = [
-            slot for slot in (-own).argsort(kind="stable").tolist()
-            if own[slot] > ROW_REACH + BEHIND and self._may_leave(slot, in_contact)
-        ]  # fmt: skip
+            slot for slot in (-own).argsort(kind="stable").tolist() if late[slot] and self._may_leave(slot, in_contact)
+        ]
         swaps = list(zip(free, near, strict=False))
         if swaps:
             self._swap(swaps, in_contact)
