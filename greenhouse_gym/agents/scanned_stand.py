@@ -19,7 +19,7 @@ from greenhouse_gym.motion.unknown_space import guarded
 from greenhouse_gym.scene import Scene
 from greenhouse_gym.scene.occupancy import boxes_around_points
 
-_GUARD = 0.01  # metres from which the arm keeps from itself, its cart, the crate, the gutter and strings
+_GUARDS = 0.01, 0.003  # metres from which the arm keeps from itself, its cart, the crate, the gutter and strings
 _VOXEL, _AROUND, _EXPLAINED, _OF_TARGET = 0.012, 0.4, 0.012, 0.03  # metres: see _unscanned
 _ALONG, _ROW = 0.97, 1.5  # cosine to the row from which a piece lies along it, and half a gutter's length, metres
 
@@ -81,10 +81,19 @@ class ScannedStand:
     def is_free(self, configuration: Array) -> bool:
         """Return whether the arm is clear of itself, its cart, the crate, the gutter and strings; (j,) radians."""
         robot = self._problem.robot
-        return self._checker.is_free(np.clip(configuration, robot.lower, robot.upper))
+        return self._checkers[0].is_free(np.clip(configuration, robot.lower, robot.upper))
+
+    def stops(self, command: Array, change: Array) -> bool:
+        """Return whether a change (j,) of the commands (j,) brings the arm nearer to these; radians.
+
+        An arm that is near something already is stopped again before it touches it.
+        """
+        robot = self._problem.robot
+        here, there = (np.clip(q, robot.lower, robot.upper) for q in (command, command + change))
+        return any(checker.is_free(here) and not checker.is_free(there) for checker in self._checkers)
 
     @cached_property
-    def _checker(self) -> CollisionChecker:
+    def _checkers(self) -> list[CollisionChecker]:
         scene = self._problem.scene
         strings = tuple(stem for stem in scene.stems if stem.kind == "string")
         parts = {
@@ -95,11 +104,12 @@ class ScannedStand:
             "occupancy": None,
         }
         compiled = guarded(scene.model_copy(update=parts), self._problem.robot, self._problem.start, np.inf)
-        return CollisionChecker(planning_model(compiled, 0, _GUARD, pairs=("stems", "clutter", "fixture", "self")))
+        pairs = ("stems", "clutter", "fixture", "self")
+        return [CollisionChecker(planning_model(compiled, 0, guard, pairs=pairs)) for guard in _GUARDS]
 
     @cached_property
     def _gutter(self) -> tuple[SpaceBox, ...]:
-        """Return the gutter as one body along the whole row; the scan shows pieces of its faces."""
+        """Return the gutter and the space below it along the whole row; the scan shows pieces of its upper faces."""
         boxes = [piece for piece in self._problem.scene.clutter if isinstance(piece, Box) and not is_leaf(piece)]
         pieces = [box for box in boxes if abs(box.rotation[1, box.half_extents.argmax()]) > _ALONG]
         if not pieces:
@@ -107,7 +117,7 @@ class ScannedStand:
         reaches = np.array([np.abs(box.rotation) @ box.half_extents for box in pieces])
         centers = np.array([box.center for box in pieces])
         low, high = (centers - reaches).min(axis=0), (centers + reaches).max(axis=0)
-        low[1], high[1] = -_ROW, _ROW
+        low[1:], high[1] = [-_ROW, 0.0], _ROW
         return (SpaceBox((low + high) / 2, (high - low) / 2, np.eye(3)),)
 
     def _crate(self, around: float) -> tuple[SpaceBox, ...]:
