@@ -21,10 +21,10 @@ from greenhouse_gym.agents.picking import (
 )
 from greenhouse_gym.agents.rail import drive, parked_at, stops_of
 from greenhouse_gym.agents.rehearsal import Action, Rehearsal, RehearsingAgent
-from greenhouse_gym.envs.tasks.harvest import ROW_REACH
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import Scene
+from greenhouse_gym.scene.plants.layout import ROW_REACH
 from greenhouse_gym.scene.plants.live import CRATED, HANGING
 from greenhouse_gym.scene.plants.live_scene import LiveScene
 

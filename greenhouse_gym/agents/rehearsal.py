@@ -222,6 +222,8 @@ class Rehearsal:
             seed: Number of the plan.
         """
         start = np.clip(self.command, arm.lower, arm.upper)
+        if not isinstance(goals, int):  # a cart at the end of its rail is beyond it by rounding
+            goals = np.clip(goals, arm.lower, arm.upper)
         result = plan(
             scene, target, arm, planner, time_limit=None, max_checks=_CHECKS, goals=goals,
             seed=self._problem.seed + seed, start=start,

@@ -263,8 +263,7 @@ class _Harvest:
 
     def _stops(self, change: Array) -> bool:
         """Return whether a change of the commands brings the arm near itself, its cart, the crate or a string."""
-        command = self._hand.command
-        return not self._stand.is_free(command + change) and self._stand.is_free(command)
+        return self._stand.stops(self._hand.command, change)
 
     def _follow(self, commands: list[Array], vacuum: bool, watching: bool = False) -> Generator[Action, None, bool]:
         """Follow commands until something is in the way, from which the arm goes back; return whether it gets there.

@@ -11,16 +11,17 @@ from scipy.spatial.distance import cdist
 
 from greenhouse_gym.agents.agent import Problem
 from greenhouse_gym.agents.sensed_hand import SensedHand
-from greenhouse_gym.crops.parts import SpaceBox
-from greenhouse_gym.geometry import Array, Sphere, distance_to_nearest, pose
+from greenhouse_gym.crops.parts import SpaceBox, is_leaf
+from greenhouse_gym.geometry import Array, Box, Sphere, distance_to_nearest, pose
 from greenhouse_gym.motion.arm_spheres import arm_spheres
 from greenhouse_gym.motion.collision import CollisionChecker, planning_model
 from greenhouse_gym.motion.unknown_space import guarded
 from greenhouse_gym.scene import Scene
 from greenhouse_gym.scene.occupancy import boxes_around_points
 
-_GUARD = 0.01  # metres from which the arm keeps from itself, its cart, the crate and strings
+_GUARDS = 0.01, 0.003  # metres from which the arm keeps from itself, its cart, the crate, the gutter and strings
 _VOXEL, _AROUND, _EXPLAINED, _OF_TARGET = 0.012, 0.4, 0.012, 0.03  # metres: see _unscanned
+_ALONG, _ROW = 0.97, 1.5  # cosine to the row from which a piece lies along it, and half a gutter's length, metres
 
 
 class ScannedStand:
@@ -53,7 +54,7 @@ class ScannedStand:
                 tomato = replace(tomato, shape=Sphere(center, tomato.radius + apart))
             tomatoes.append(tomato)
         stems = tuple(replace(stem, radius=stem.radius + apart) for stem in scene.stems) if apart else scene.stems
-        clutter = (*scene.clutter, *self._crate(around))
+        clutter = (*scene.clutter, *self._crate(around), *self._gutter)
         parts = {"tomatoes": tuple(tomatoes), "stems": stems, "clutter": clutter, "targets": (), "truth": None}
         known = scene.model_copy(update=parts)
         return known.with_space(boxes_around_points(self._unscanned(), _VOXEL)) if seen else known
@@ -78,17 +79,46 @@ class ScannedStand:
         return np.asarray(points[(gaps > np.append(np.full(len(fruit) - 1, _EXPLAINED), _OF_TARGET)).all(axis=1)])
 
     def is_free(self, configuration: Array) -> bool:
-        """Return whether the arm touches neither itself, nor its cart, the crate or a string; (j,) radians."""
+        """Return whether the arm is clear of itself, its cart, the crate, the gutter and strings; (j,) radians."""
         robot = self._problem.robot
-        return self._checker.is_free(np.clip(configuration, robot.lower, robot.upper))
+        return self._checkers[0].is_free(np.clip(configuration, robot.lower, robot.upper))
+
+    def stops(self, command: Array, change: Array) -> bool:
+        """Return whether a change (j,) of the commands (j,) brings the arm nearer to these; radians.
+
+        An arm that is near something already is stopped again before it touches it.
+        """
+        robot = self._problem.robot
+        here, there = (np.clip(q, robot.lower, robot.upper) for q in (command, command + change))
+        return any(checker.is_free(here) and not checker.is_free(there) for checker in self._checkers)
 
     @cached_property
-    def _checker(self) -> CollisionChecker:
+    def _checkers(self) -> list[CollisionChecker]:
         scene = self._problem.scene
         strings = tuple(stem for stem in scene.stems if stem.kind == "string")
-        parts = {"stems": strings, "clutter": self._crate(0.0), "targets": (), "truth": None, "occupancy": None}
+        parts = {
+            "stems": strings,
+            "clutter": (*self._crate(0.0), *self._gutter),
+            "targets": (),
+            "truth": None,
+            "occupancy": None,
+        }
         compiled = guarded(scene.model_copy(update=parts), self._problem.robot, self._problem.start, np.inf)
-        return CollisionChecker(planning_model(compiled, 0, _GUARD, pairs=("stems", "clutter", "fixture", "self")))
+        pairs = ("stems", "clutter", "fixture", "self")
+        return [CollisionChecker(planning_model(compiled, 0, guard, pairs=pairs)) for guard in _GUARDS]
+
+    @cached_property
+    def _gutter(self) -> tuple[SpaceBox, ...]:
+        """Return the gutter and the space below it along the whole row; the scan shows pieces of its upper faces."""
+        boxes = [piece for piece in self._problem.scene.clutter if isinstance(piece, Box) and not is_leaf(piece)]
+        pieces = [box for box in boxes if abs(box.rotation[1, box.half_extents.argmax()]) > _ALONG]
+        if not pieces:
+            return ()
+        reaches = np.array([np.abs(box.rotation) @ box.half_extents for box in pieces])
+        centers = np.array([box.center for box in pieces])
+        low, high = (centers - reaches).min(axis=0), (centers + reaches).max(axis=0)
+        low[1:], high[1] = [-_ROW, 0.0], _ROW
+        return (SpaceBox((low + high) / 2, (high - low) / 2, np.eye(3)),)
 
     def _crate(self, around: float) -> tuple[SpaceBox, ...]:
         """Return the walls of the crate, thickened by some metres."""

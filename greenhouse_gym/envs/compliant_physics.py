@@ -21,6 +21,7 @@ from greenhouse_gym.scene.geom_order import ShortGeomLists, compiled_geom_id, pu
 from greenhouse_gym.scene.plants.cutting import CutterPlants
 from greenhouse_gym.scene.plants.layout import CRATE_BOXES, Layout, SlotIds
 from greenhouse_gym.scene.plants.live import Felt, LivePlants
+from greenhouse_gym.scene.plants.row import RowPlants
 
 _FRUIT, _STEM, _LEAF, _FIXTURE, _SELF = range(len(CONTACT_GROUPS))
 _PRESSED = (_FRUIT, _STEM)  # groups that a pressing force damages
@@ -111,7 +112,7 @@ class CompliantPhysics:
             displace_base(model, world.frame[3:], disturbance.shift, disturbance.yaw)
         old = self._sims[i]
         data = mujoco.MjData(model) if old is None else old.data
-        kind = CutterPlants if self._layout.cutter else LivePlants
+        kind = CutterPlants if self._layout.cutter else RowPlants if world.compiled.robot.on_rail else LivePlants
         plants = kind(model, data, self._scratch, world.planted, self._layout)
         self._sims[i] = CompliantSimulation(model, data, plants, groups, ShortGeomLists([model]), world)
         self._felt[i] = Felt(np.zeros(3))
@@ -133,6 +134,7 @@ class CompliantPhysics:
             data.qpos[:joints], data.act[:] = configurations[k], configurations[k]
             mujoco.mj_forward(model, data)
             _check_crate(sim)
+            sim.plants.move_on()
             counts[k], contact, _ = self._contacts(sim)
             if contact is not None:
                 collided[k], first[i] = True, contact
@@ -165,6 +167,7 @@ class CompliantPhysics:
             mujoco.mj_kinematics(sim.model, sim.data)
             mujoco.mj_comPos(sim.model, sim.data)
             self._felt[i] = sim.plants.finish_action()
+            sim.plants.move_on()
             self._read(i, sim)
         return Contacts(counts, leaf_steps, collided, first)
 

@@ -20,7 +20,7 @@ JOINT_MARGIN = 0.1
 """Margin beyond the joint limits in observations, radians (limits are soft in the physics)."""
 
 MAX_OFFSET = 3.0
-"""Bound of observed positions along each axis, metres."""
+"""Bound of observed positions along each axis, metres, from an arm that does not slide."""
 
 MIN_CLEARANCE = -0.1
 """Lower bound of observed clearances, metres."""
@@ -52,6 +52,13 @@ def _between(low: float, high: float, size: int) -> tuple[Array, Array]:
     return np.full(size, low), np.full(size, high)
 
 
+def _positions(robot: Robot) -> tuple[Array, Array]:
+    """Return the bounds of positions, which a rail extends along the row."""
+    rail = float(np.abs([robot.lower[0], robot.upper[0]]).max()) if robot.on_rail else 0.0
+    high = np.array([MAX_OFFSET, MAX_OFFSET + rail, MAX_OFFSET])
+    return -high, high
+
+
 def _direction(offset: Array) -> Array:
     """Return the action (n, j) that moves a command straight by an offset (n, j) as fast as possible."""
     return np.asarray(offset / np.maximum(ACTION_STEP, np.abs(offset).max(axis=1, keepdims=True)))
@@ -71,10 +78,10 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
         ),
         "command_error": Feature(lambda s: s.command_error, lambda r: _within(2 * max_command_error(r), len(r.joints))),
         "grasp_offset": Feature(lambda s: s.target - s.grasp, lambda r: _within(MAX_OFFSET, 3)),
-        "target_position": Feature(lambda s: s.target, lambda r: _within(MAX_OFFSET, 3)),
+        "target_position": Feature(lambda s: s.target, _positions),
         "target_direction": Feature(_target_direction, lambda r: _within(1.0, 3)),
         "turn_to_target": Feature(lambda s: np.cross(s.axis, _target_direction(s)), lambda r: _within(1.0, 3)),
-        "tip_position": Feature(lambda s: s.tip, lambda r: _within(MAX_OFFSET, 3)),
+        "tip_position": Feature(lambda s: s.tip, _positions),
         "tool_axis": Feature(lambda s: s.axis, lambda r: _within(1.0, 3)),
         "clearance": Feature(lambda s: s.clearance, lambda r: _between(MIN_CLEARANCE, MAX_DISTANCE, len(r.probes))),
         "obstacle_direction": Feature(

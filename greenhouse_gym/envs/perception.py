@@ -16,7 +16,7 @@ from greenhouse_gym.envs.physics import AnyPhysics
 from greenhouse_gym.envs.setups import Setup
 from greenhouse_gym.envs.state import Bools, Ids, State
 from greenhouse_gym.envs.views import TaskCamera, View
-from greenhouse_gym.envs.worlds import Worlds
+from greenhouse_gym.envs.worlds import STOP, Worlds
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.distance_field import NO_TOMATO, FieldsOfSimulations
 from greenhouse_gym.motion.goals import GoalSampler
@@ -65,6 +65,7 @@ class Perception:
         self._radius = np.zeros((count, 1))
         # read-only values of what is not required
         self._nothing, self._unset, self._false = np.empty((count, 0)), np.full(count, np.nan), np.zeros(count, bool)
+        self._unmoved = np.zeros((count, 1, 3))
         self._waypoints = WaypointTracker(count, len(robot.joints)) if requires_roadmap else None
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Perception:
@@ -135,7 +136,7 @@ class Perception:
         sites, tool = physics.sites(ids)
         vectors = np.concatenate([sites - frame[:, None, :3], tool[:, None, :, 2]], axis=1) @ self._axes[ids]
         points, axis = vectors[:, :-1], vectors[:, -1]
-        fields = FieldsOfSimulations(self._worlds.fields, self._field[ids].copy(), self._ignored[ids].copy())
+        fields = self._fields(ids, physics)
         distance, direction = fields.lookup(points[:, 1:])
         joints = physics.qpos[ids]
         command_error = physics.command[ids] - joints
@@ -177,6 +178,16 @@ class Perception:
             failure=self._false[: len(points)],
             memory=memory,
         )
+
+    def _fields(self, ids: Ids | slice, physics: AnyPhysics) -> FieldsOfSimulations:
+        """Return the distance fields around some arms, which move on with a cart."""
+        slots, along = self._field[ids].copy(), self._unmoved[ids]
+        if self._robot.on_rail:
+            stops = np.rint(physics.qpos[ids, 0] / STOP).astype(np.int64)
+            along = STOP * stops[:, None, None] * [0.0, 1.0, 0.0]
+            chosen = zip(np.arange(self._count)[ids].tolist(), stops.tolist(), strict=True)
+            slots = np.array([self._worlds.field(self._setups[i].world, stop) for i, stop in chosen])
+        return FieldsOfSimulations(self._worlds.fields, slots, self._ignored[ids].copy(), along)
 
     def _paths(self, ids: Ids | slice, command: Array, steps: npt.NDArray[np.int64]) -> tuple[Array, Array, Bools]:
         """Return waypoint offsets (k, j) from the commands, path lengths (k,), and whether the motion is free (k,).

@@ -37,6 +37,9 @@ CACHED = LARGEST_WHOLE
 PLANTED = 16
 """Number of cached worlds with plants in their slots."""
 
+STOP = 0.25
+"""Distance between two stops of a cart around which distance fields are computed, metres."""
+
 CACHED_KINDS = 8
 """Number of cached kinds of worlds (arm, physics, capacity, rate)."""
 
@@ -72,6 +75,7 @@ class Worlds:
         record = partial(drive_and_record, substeps=substeps, forces=leaves != "rigid")
         self._edit = record if layout is None else partial(_with_slots, layout=layout, record=record)
         self.fields = FieldStore()
+        self._along: dict[tuple[int, int], int] = {}
         # keys are ids of scenes: scenes are immutable, and a rewritten bank is read as new scenes; a world keeps its
         # scene alive, so an id is not reused before its world is freed
         self._alive: weakref.WeakValueDictionary[int, World] = weakref.WeakValueDictionary()
@@ -92,7 +96,7 @@ class Worlds:
         world = self._kept.get(key) or self._alive.get(key)
         if world is None:
             world = self._alive[key] = self._make(scene)
-            weakref.finalize(world, self.fields.remove, world.field)
+            weakref.finalize(world, _remove_fields, self.fields, self._along, world.field)
         self._kept[key] = world
         self._kept.move_to_end(key)
         while len(self._kept) > (CACHED if keep is None else keep):
@@ -105,8 +109,7 @@ class Worlds:
         plants = move_plants(true, motion, np.random.default_rng(seed))
         parts = {name: getattr(plants, name) for name in ("tomatoes", "stems", "clutter")}
         moved = true.model_copy(update=parts)
-        scene = world.scene
-        scene_from_base = pose(rotation_about([0, 0, 1], scene.placement.yaw), base_position(scene, self.robot))
+        scene_from_base = _scene_from_base(world.scene, self.robot)
         return replace(
             world,
             compiled=self._compile(moved),
@@ -136,6 +139,24 @@ class Worlds:
             self._planted.popitem(last=False)
         return self._planted[key][1]
 
+    def field(self, world: World, stop: int) -> int:
+        """Return the slot of the distance field of a world around a stop of a cart, `STOP` metres apart."""
+        if not stop:
+            return world.field
+        key = world.field, stop
+        if key not in self._along:
+            self._along[key] = self._add_field(world.scene, STOP * stop)
+        return self._along[key]
+
+    def _add_field(self, scene: Scene, along: float = 0.0) -> int:
+        """Compute the distance field of a scene around its arm, or that many metres farther along the row."""
+        solid = scene.arrays
+        if self.leaves == "brush":
+            solid = solid.select(np.delete(np.arange(scene.count), scene.leaves))
+        return self.fields.add(
+            solid, scene.counts[0], _scene_from_base(scene, self.robot) @ pose(translation=[0.0, along, 0.0])
+        )
+
     def _compile(self, scene: Surroundings) -> CompiledScene:
         compiled = compile_scene(scene, self.robot, self.capacity, self._edit)
         if self.leaves == "brush":
@@ -145,22 +166,19 @@ class Worlds:
     def _make(self, scene: Scene) -> World:
         physical = true_scene(scene) if self.physics == "truth" else scene
         self._check_size(physical)
-        scene_from_base = pose(rotation_about([0, 0, 1], scene.placement.yaw), base_position(scene, self.robot))
+        scene_from_base = _scene_from_base(scene, self.robot)
         tomatoes, bodies_there = (spheres_in_base(s, scene_from_base) for s in (scene, physical))
         if physical is scene:
             bodies = np.arange(len(tomatoes))
         else:
             bodies = np.linalg.norm(tomatoes[:, None, :3] - bodies_there[None, :, :3], axis=-1).argmin(axis=1)
         known: np.ndarray[tuple[int, int], np.dtype[np.float32]] = tomatoes.astype(np.float32)
-        solid = scene.arrays
-        if self.leaves == "brush":
-            solid = solid.select(np.delete(np.arange(scene.count), scene.leaves))
         return World(
             scene=scene,
             compiled=self._compile(physical),
             frame=np.array([*scene_from_base[:3, 3], *scene_from_base[:2, 0]]),
             tomatoes=known,
-            field=self.fields.add(solid, len(tomatoes), scene_from_base),
+            field=self._add_field(scene),
             # the same numbers as observed if the scene itself is simulated
             goals=known.astype(np.float64) if physical is scene else bodies_there[bodies],
             bodies=bodies,
@@ -177,9 +195,21 @@ class Worlds:
             raise InvalidValueError(problem)
 
 
+def _remove_fields(store: FieldStore, along: dict[tuple[int, int], int], field: int) -> None:
+    """Release the distance fields of a world around its arm and along its rail."""
+    store.remove(field)
+    for key in [key for key in along if key[0] == field]:
+        store.remove(along.pop(key))
+
+
 def _with_slots(spec: mujoco.MjSpec, layout: Layout, record: Callable[[mujoco.MjSpec], None]) -> None:
     record(spec)
     layout.add(spec)
+
+
+def _scene_from_base(scene: Scene, robot: Robot) -> Array:
+    """Return the pose (4, 4) of the arm's base in the scene."""
+    return pose(rotation_about([0, 0, 1], scene.placement.yaw), base_position(scene, robot))
 
 
 def spheres_in_base(scene: Shapes, scene_from_base: Array) -> Array:

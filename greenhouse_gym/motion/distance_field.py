@@ -178,26 +178,28 @@ class FieldsOfSimulations(NamedTuple):
         store: The fields.
         slots: (n,) slots.
         ignored: (n,) index of the tomato that is not an obstacle, or `NO_TOMATO`.
+        along: (n, 1, 3) positions in the base frame of the frames in which the fields are given, metres.
     """
 
     store: FieldStore
     slots: npt.NDArray[np.int64]
     ignored: npt.NDArray[np.int64]
+    along: Array
 
     def select(self, ids: npt.NDArray[np.int64]) -> FieldsOfSimulations:
         """Return the fields of some simulations."""
-        return self._replace(slots=self.slots[ids], ignored=self.ignored[ids])
+        return FieldsOfSimulations(self.store, self.slots[ids], self.ignored[ids], self.along[ids])
 
     def replaced(self, ids: npt.NDArray[np.int64], fresh: FieldsOfSimulations) -> FieldsOfSimulations:
         """Return a copy with the ``fresh`` fields of some simulations."""
-        copies = self.slots.copy(), self.ignored.copy()
+        copies = self.slots.copy(), self.ignored.copy(), self.along.copy()
         for old, new in zip(copies, fresh[1:], strict=True):
             old[ids] = new
         return FieldsOfSimulations(self.store, *copies)
 
     def lookup(self, points: npt.NDArray[np.float64]) -> tuple[Float32, Float32]:
         """Return distances and directions at points (n, k, 3), as `FieldStore.lookup` does."""
-        return self.store.lookup(self.slots, self.ignored, points)
+        return self.store.lookup(self.slots, self.ignored, points - self.along)
 
 
 @lru_cache(maxsize=1)

@@ -9,6 +9,7 @@ import math
 
 import mujoco
 import numpy as np
+import numpy.typing as npt
 
 from greenhouse_gym.geometry import Array, ShapeArrays
 from greenhouse_gym.geometry.shape_arrays import BOX, CAPSULE, ELLIPSOID
@@ -48,7 +49,9 @@ def fill_slots(model: mujoco.MjModel, first: int, shapes: ShapeArrays, colors: A
     build_tree(model)
 
 
-def write_geoms(model: mujoco.MjModel, slots: slice, shapes: ShapeArrays, colors: Array) -> None:
+def write_geoms(
+    model: mujoco.MjModel, slots: slice | npt.NDArray[np.int64], shapes: ShapeArrays, colors: Array
+) -> None:
     """Turn geoms into shapes, given in the frame of their body; `build_tree` has to follow.
 
     Args:

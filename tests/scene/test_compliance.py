@@ -9,17 +9,19 @@ import pytest
 
 from greenhouse_gym.agents import Problem
 from greenhouse_gym.agents.harvester import OracleHarvester
+from greenhouse_gym.crops.parts import Stem, Tomato
 from greenhouse_gym.envs import make_env
 from greenhouse_gym.envs.randomization import Randomization
 from greenhouse_gym.envs.stepping import drive_and_record
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Box, Capsule, Ellipsoid, Sphere, arrays_of
-from greenhouse_gym.scene import SceneBank, compile_scene
+from greenhouse_gym.scene import SceneBank, Shapes, compile_scene
 from greenhouse_gym.scene.obstacle_slots import TYPES, geoms_of
 from greenhouse_gym.scene.plants.detachment import detach, load_of, weld
+from greenhouse_gym.scene.plants.filling import merged
 from greenhouse_gym.scene.plants.layout import LOOSE, Layout
 from greenhouse_gym.scene.plants.mechanics import GRAVITY, HINGE_ARMATURE, VARYING, PlantMechanics, mass_properties
-from greenhouse_gym.scene.plants.slots import merged, plant
+from greenhouse_gym.scene.plants.slots import plant
 from greenhouse_gym.scene.plants.topology import topology_of
 from greenhouse_gym.scene.truth import true_scene
 
@@ -60,6 +62,26 @@ def test_every_fruit_of_the_small_bank_finds_its_truss():
         rows = [fruit.row for truss in topology.trusses for fruit in truss.fruit]
         assert sorted(rows) == list(range(len(truth.tomatoes)))
         assert all(len({truth.tomatoes[f.row].truss for f in truss.fruit}) == 1 for truss in topology.trusses)
+
+
+def test_sepals_belong_to_the_fruit_of_their_pedicel_and_leaflets_to_their_petiole():
+    def stem(start, end, kind):
+        return Stem(np.array(start), np.array(end), 0.002, kind=kind)
+
+    def box(*center):
+        return Box(np.array(center), np.array([0.006, 0.003, 0.001]), np.eye(3))
+
+    stems = (
+        stem([0, 0, 0], [0, 0, 1], "main"), stem([0, 0, 0.8], [-0.1, 0, 0.8], "peduncle"),
+        stem([-0.1, 0, 0.8], [-0.1, 0, 0.77], "pedicel"),
+    )  # fmt: skip
+    sepal, curled, leaflet, far = box(-0.11, 0, 0.775), box(-0.1, 0.01, 0.78), box(-0.1, 0.022, 0.775), box(0.1, 0, 0.8)
+    petioles = Capsule(np.zeros(3), np.array([-0.1, 0.03, 0.775]), 0.002), Capsule(np.zeros(3), far.center, 0.002)
+    fruit = Tomato(Sphere(np.array([-0.1, 0, 0.755]), 0.015), 0)
+    shapes = Shapes(tomatoes=(fruit,), stems=stems, clutter=(sepal, curled, leaflet, far, *petioles))
+    topology = topology_of(shapes, "sepals")
+    assert topology.trusses[0].fruit[0].calyx == (4, 5), "boxes from row 4 on"
+    assert sorted(row for leaf in topology.leaves for row in leaf.plates) == [6, 7]
 
 
 def test_mass_properties_equal_those_of_the_compiler():

@@ -20,7 +20,7 @@ from greenhouse_gym.geometry import Array, rotation_about
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import Scene
 from greenhouse_gym.scene.mjcf import base_position
-from greenhouse_gym.scene.plants.layout import ATTACHED, Layout
+from greenhouse_gym.scene.plants.layout import ATTACHED, ROW_REACH, Layout
 from greenhouse_gym.scene.plants.mechanics import PlantMechanics
 
 RIPE = 0.6
@@ -41,19 +41,16 @@ MOVING = 0.01
 _DRAWS = 256  # draws of an episode until one fits into the slots
 
 SIZES: Mapping[str, Layout] = MappingProxyType(
-    {"pick": Layout(1, 8, 8), "truss": Layout(1, 20, 8), "stand": Layout(4, 6, 8), "row": Layout(12, 6, 16)}
+    {"pick": Layout(1, 8, 8), "truss": Layout(1, 20, 8), "stand": Layout(4, 6, 8), "row": Layout(8, 6, 12)}
 )
-"""Sizes of the task with their slots: one fruit, all ripe fruit of a truss, those of up to four trusses, or of up to
-twelve along a row."""
+"""Sizes of the task with their slots: one fruit, all ripe fruit of a truss, those of up to four trusses, or all along
+a row, whose slots move on with the cart."""
 
 TOOLS = ("suction", "cutter")
 """Tools that hold a fruit, or cut a peduncle and hold the truss."""
 
 STEP_LIMITS: Mapping[str, int] = MappingProxyType({"pick": 400, "truss": 4000, "stand": 6000, "row": 18000})
 """Steps after which an episode of each size is truncated: 20, 200, 300 and 900 s."""
-
-ROW_REACH = 0.8
-"""Distance from the shoulder of an arm, at its nearest place on the rail, within which fruit of a row are picked, m."""
 
 COUNTED = ("detached", "crated", "dropped", "knocked", "damaged")
 """Counts of an episode, see `greenhouse_gym.envs.state.PLANTS`."""
@@ -113,7 +110,7 @@ HARVEST_FEATURES: Mapping[str, Feature] = MappingProxyType(
         ),
         "wrist_force": Feature(lambda s: s.plants["force"], lambda r: _bounds(*[(-MAX_FORCE, MAX_FORCE)] * 3)),
         "fruit_radius": Feature(lambda s: s.plants["radius"][:, None], lambda r: _bounds((0, 0.2))),
-        "fruit_left": Feature(lambda s: s.plants["left"][:, None], lambda r: _bounds((0, 100))),
+        "fruit_left": Feature(lambda s: s.plants["left"][:, None], lambda r: _bounds((0, 1000 if r.on_rail else 100))),
         "pedicel": Feature(
             lambda s: s.plants["joint"] - s.plants["fruit"], lambda r: _bounds(*[(-MAX_PEDICEL, MAX_PEDICEL)] * 3)
         ),
@@ -148,7 +145,8 @@ class TomatoHarvest(Task):
     Attributes:
         size: "pick" (one fruit), "truss" (all ripe fruit of its truss), "stand" (the ripe fruit within reach of the
             ripest trusses, as many as have a slot) or "row" (the same along the rail of an arm of
-            `greenhouse_gym.robots.mount_on_rail`, whose first joint drives arm and crate).
+            `greenhouse_gym.robots.mount_on_rail`, whose first joint drives arm and crate; slots move on to the fruit
+            that come within reach).
         ripe: Ripeness from which a fruit is picked.
         max_damage: Number of damaged organs that an episode survives.
         layout: Slots for compliant plants, and the crate; None for those of the size.
@@ -231,7 +229,8 @@ class TomatoHarvest(Task):
             within = [k for tomato, k in ripe.items() if tomato in reachable]
             trusses = Counter(tomatoes[k].truss for k in within)
             chosen = [truss for truss, count in trusses.most_common() if count <= self.layout.fruit]
-            chosen = chosen[: self.layout.trusses]
+            if not along or self.layout.cutter:  # otherwise slots move on along the row
+                chosen = chosen[: self.layout.trusses]
             fruit = sorted(k for k in within if tomatoes[k].truss in chosen)
         largest = max((sum(t.truss == truss for t in tomatoes) for truss in chosen), default=0)
         ripest = max((sum(tomatoes[k].truss == truss for k in fruit) for truss in chosen), default=0)

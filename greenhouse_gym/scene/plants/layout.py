@@ -27,6 +27,15 @@ SUCTION = "suction"
 CRATE_BOXES = 6
 """Number of boxes of the crate: bottom, walls and shelf."""
 
+ROW_REACH = 0.8
+"""Distance from the shoulder of an arm on a rail within which fruit are picked, metres."""
+
+ROW_CRATE = 120
+"""Least number of fruit that can lie in the crate of an arm on a rail; it meets more fruit than there are slots."""
+
+EMPTY_MASS, EMPTY_INERTIA, EMPTY_SIZE = 0.01, 1e-5, 0.001
+"""Mass and moments of an empty body, kg and kg m^2, and the radius of its geoms, metres."""
+
 SERVO_ERROR = 0.0375
 """Error at which servos without a limit of their own exert their largest force, radians: 150 and 38 N m for a UR5e; its
 data sheet says 150 and 28. Without any limit an arm presses what does not move with kilonewtons."""
@@ -80,11 +89,6 @@ class Layout:
     crate: Crate = Crate()
     cutter: bool = False
 
-    @property
-    def settled(self) -> int:
-        """Number of fruit that can lie still after coming off."""
-        return self.trusses * self.fruit
-
     def add(self, spec: mujoco.MjSpec) -> None:
         """Add empty slots, the crate and the suction weld to a scene with an arm, and limit the force of its servos."""
         for servo in spec.actuators:
@@ -103,7 +107,8 @@ class Layout:
         for i in range(self.trusses if self.cutter else 0):
             cut = _parked(world, f"cut_{i}", 3 * _PARKED_HEIGHT + i, RACHIS + 2 * ATTACHED)
             _add_fruit(cut, f"cut_{i}", self.fruit, gravcomp=1.0)
-        crate = (world.first_body() if slides(spec) else world).add_body(name="crate", pos=self.crate.position)
+        on_rail = slides(spec)
+        crate = (world.first_body() if on_rail else world).add_body(name="crate", pos=self.crate.position)
         crate.mass, crate.inertia, crate.explicitinertial = _CRATE_MASS, [0.05] * 3, True
         for k, (middle, half) in enumerate(self.crate.boxes):
             color = [0.2, 0.35, 0.7, 1] if k < 5 else [0.5, 0.5, 0.52, 1]
@@ -111,7 +116,7 @@ class Layout:
                 name=f"crate_{k}", type=mujoco.mjtGeom.mjGEOM_BOX, pos=middle, size=half, rgba=color,
                 contype=0, conaffinity=ALL,
             )  # fmt: skip
-        for _ in range(self.settled):
+        for _ in range(max(self.trusses * self.fruit, ROW_CRATE if on_rail else 0)):  # fruit that lie in it
             _empty_geom(crate)
         cup = spec.site(TIP_SITE).parent
         spec.add_equality(
@@ -148,7 +153,7 @@ def _add_fruit(truss: mujoco.MjsBody, name: str, count: int, gravcomp: float = 0
 
 
 def _fill_empty(body: mujoco.MjsBody, geoms: int) -> None:
-    body.mass, body.inertia, body.ipos, body.explicitinertial = 0.01, [1e-5] * 3, [0, 0, 0], True
+    body.mass, body.inertia, body.ipos, body.explicitinertial = EMPTY_MASS, [EMPTY_INERTIA] * 3, [0, 0, 0], True
     for _ in range(geoms):
         _empty_geom(body)
 
@@ -156,7 +161,12 @@ def _fill_empty(body: mujoco.MjsBody, geoms: int) -> None:
 def _empty_geom(body: mujoco.MjsBody) -> None:
     # with a mask: geoms without one have no node in the tree of bounding volumes
     body.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.001, 0, 0], mass=0, rgba=[0, 0, 0, 0], contype=0, conaffinity=ALL
+        type=mujoco.mjtGeom.mjGEOM_SPHERE,
+        size=[EMPTY_SIZE, 0, 0],
+        mass=0,
+        rgba=[0, 0, 0, 0],
+        contype=0,
+        conaffinity=ALL,
     )
 
 

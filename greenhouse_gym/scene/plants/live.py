@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import mujoco
 import numpy as np
+import numpy.typing as npt
 
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.scene.plants.detachment import (
@@ -24,9 +26,9 @@ from greenhouse_gym.scene.plants.layout import CRATE_BOXES, Crate, Layout
 from greenhouse_gym.scene.plants.mechanics import GRAVITY
 from greenhouse_gym.scene.plants.slots import Planted
 
-EMPTY, HANGING, LOOSE, CRATED, LOST = -1, 0, 1, 2, 3
-"""States of a fruit: no fruit in the slot, on its truss, off it and on the move, at rest in the crate, at rest or on
-the floor elsewhere."""
+WAITING, EMPTY, HANGING, LOOSE, CRATED, LOST = -2, -1, 0, 1, 2, 3
+"""States of a fruit: on a truss that has no slot, no fruit at all, on a truss in a slot, off it and on the move, at
+rest in the crate, at rest or on the floor elsewhere."""
 
 SEAL_GAP, SEAL_ANGLE = 0.005, 0.7
 """Maximum gap between cup and skin, metres, and angle between tool and skin normal, radians, to suck a fruit."""
@@ -90,8 +92,12 @@ class LivePlants:
         layout: The layout.
 
     Attributes:
-        state: (fruit,) state of each fruit in a slot.
+        state: (fruit,) state of each fruit that can come off, truss by truss.
         held: Index of the fruit in the cup, or -1.
+        seated: (slots,) truss in each slot, or -1.
+        leaves: Leaf in each slot.
+        motions: (4, 4) motions since the scan of shapes that did not hang as scanned when they became static or came
+            into their slots, by their rows.
         cut: (trusses,) whether a truss was cut off.
     """
 
@@ -100,22 +106,24 @@ class LivePlants:
     ):
         self.model, self.data, self._scratch = model, data, scratch
         self.planted, self._layout, self._ids = planted, layout, planted.ids
-        self.state = np.where(planted.fruit.ravel() >= 0, HANGING, EMPTY)
+        in_slot = np.arange(len(planted.fruit)) < layout.trusses
+        self.state = np.where(planted.fruit >= 0, np.where(in_slot[:, None], HANGING, WAITING), EMPTY).ravel()
         self.wanted = planted.wanted.ravel()
         self.held = -1
-        self._bodies = planted.ids.fruit.flatten()
+        self.seated = np.where(np.arange(layout.trusses) < len(planted.trusses), np.arange(layout.trusses), -1)
+        self.leaves = planted.leaves
+        self.motions: Mapping[int, Array] = {}
+        self._bodies = np.resize(planted.ids.fruit, len(self.state))  # valid for fruit in slots only
         self._loose_of = np.full(layout.loose, -1)
         self._by_cup = np.zeros(len(self.state), dtype=np.bool_)
         self._settled = 0
         self._still = np.zeros(layout.loose, dtype=np.int64)
-        self.cut = np.zeros(layout.trusses, dtype=np.bool_)
+        self.cut = np.zeros(len(planted.fruit), dtype=np.bool_)
         self._truss_still = np.zeros(layout.trusses, dtype=np.int64)
         self._damaged: set[int] = set()
         self._press: dict[int, float] = {}
         self._pull, self._force, self._substeps = np.zeros(len(self.state)), np.zeros(3), 0
-        axes = model.geom_pos[[first_geom(model, body) for body in self._bodies]]
-        norms = np.linalg.norm(axes, axis=1, keepdims=True)
-        self._axes = np.where(norms > 0, axes / np.maximum(norms, 1e-9), [0.0, 0.0, -1.0])
+        self._axes = self._pedicel_axes(self._bodies)
         self._organs = [*planted.ids.truss, *planted.ids.leaf]
         self._hinges = np.array([model.jnt_qposadr[model.body_jntadr[body]] for body in self._organs])
         limits = [planted.mechanics.truss_bend_limit] * len(planted.ids.truss)
@@ -126,8 +134,8 @@ class LivePlants:
         other = copy.copy(self)
         other.model, other.data = model, data
         for name in (
-            "state", "cut", "_loose_of", "_by_cup", "_damaged", "_press", "_pull", "_force", "_still", "_truss_still",
-            "_bodies", "_limits",
+            "state", "cut", "seated", "_loose_of", "_by_cup", "_damaged", "_press", "_pull", "_force", "_still",
+            "_truss_still", "_bodies", "_axes", "_limits",
         ):  # fmt: skip
             setattr(other, name, copy.copy(getattr(self, name)))
         return other
@@ -189,7 +197,7 @@ class LivePlants:
     @property
     def left(self) -> int:
         """Number of fruit to be picked that are neither in the crate nor lost."""
-        return int(np.count_nonzero(self.wanted & ((self.state == HANGING) | (self.state == LOOSE))))
+        return int(np.count_nonzero(self.wanted & (self.state <= LOOSE)))
 
     def body_of(self, fruit: int) -> int:
         """Return the body of a fruit that is not at rest."""
@@ -198,6 +206,8 @@ class LivePlants:
 
     def center(self, fruit: int) -> Array:
         """Return the middle (3,) of a fruit that is not at rest, metres."""
+        if self.state[fruit] <= HANGING:
+            return self.data.geom_xpos[int(self._geoms(np.array(fruit)))].copy()
         return self.data.geom_xpos[first_geom(self.model, self.body_of(fruit))].copy()
 
     def joint_of(self, fruit: int) -> Array:
@@ -206,7 +216,7 @@ class LivePlants:
 
     def radius(self, fruit: int) -> float:
         """Return the radius of the sphere of the same volume as a fruit, metres."""
-        geom = first_geom(self.model, int(self._bodies[fruit]))
+        geom = int(self._geoms(np.array(fruit)))
         size = self.model.geom_size[geom]
         ellipsoid = self.model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_ELLIPSOID
         return float(np.cbrt(size.prod()) if ellipsoid else size[0])
@@ -219,12 +229,19 @@ class LivePlants:
         """Return the held fruit, or the fruit to be picked that hangs nearest to the tip (3,)."""
         fruit = self.held
         if fruit < 0:
-            left = np.flatnonzero(self.wanted & (self.state == HANGING))
+            left = np.flatnonzero(self.wanted & (self.state <= HANGING))
             if not len(left):
                 return Work(-1, tip, 0.0, tip, False)
-            offsets = self.data.geom_xpos[self.model.body_geomadr[self._bodies[left]]] - tip
+            offsets = self.data.geom_xpos[self._geoms(left)] - tip
             fruit = int(left[(offsets * offsets).sum(axis=1).argmin()])
-        return Work(fruit, self.center(fruit), self.radius(fruit), self.joint_of(fruit), self.state[fruit] == HANGING)
+        return Work(fruit, self.center(fruit), self.radius(fruit), self.joint_of(fruit), self.state[fruit] <= HANGING)
+
+    def move_on(self) -> None:
+        """Give slots to other organs, which only plants along a row do."""
+
+    def _geoms(self, fruit: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+        """Return the geoms of fruit (n,) that hang."""
+        return np.asarray(self.model.body_geomadr[self._bodies[fruit]])
 
     def _catch(self) -> None:
         """Hold the nearest fruit that the cup can seal on."""
@@ -252,6 +269,12 @@ class LivePlants:
         """Geom at the tip, in the order of this model."""
         world = int(self.model.body_geomnum[0])
         return (self._ids.cup_geom - world) % self.model.ngeom if self.model.body_geomadr[0] else self._ids.cup_geom
+
+    def _pedicel_axes(self, bodies: npt.NDArray[np.int64]) -> Array:
+        """Return unit vectors (n, 3) along the unbent pedicels of fruit in bodies (n,)."""
+        axes = self.model.geom_pos[self.model.body_geomadr[bodies]]
+        norms = np.linalg.norm(axes, axis=1, keepdims=True)
+        return np.where(norms > 0, axes / np.maximum(norms, 1e-9), [0.0, 0.0, -1.0])
 
     def _release(self) -> None:
         let_go(self.model, self.data, self._ids)
@@ -302,7 +325,7 @@ class LivePlants:
                 self.state[fruit] = CRATED
                 crated += int(self.wanted[fruit])
             if still or data.geom_xpos[geom, 2] < -1:
-                if self._settled < self._layout.settled and still:
+                if self._settled < model.body_geomnum[self._ids.crate] - CRATE_BOXES and still:
                     settle(model, data, body, self._ids.crate, CRATE_BOXES + self._settled)
                     self._settled += 1
                 else:

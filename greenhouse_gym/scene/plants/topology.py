@@ -35,6 +35,9 @@ MAX_PLATE = 0.15
 CALYX_REACH = 1.35
 """Distance from the middle of a fruit, in radii, within which small boxes are its calyx."""
 
+CALYX_GAP = 0.015
+"""Distance from a pedicel within which boxes are the calyx of its fruit, metres, unless a petiole is nearer."""
+
 Rows = tuple[int, ...]
 """Indices of shapes in the order of `Shapes.obstacles`: fruit, stems, clutter."""
 
@@ -131,7 +134,7 @@ def topology_of(shapes: Shapes, name: str) -> Topology:
     clutter = np.arange(tomatoes + stems, len(arrays.kinds))
     petioles = clutter[arrays.kinds[clutter] == CAPSULE]
     plates = clutter[(arrays.kinds[clutter] == BOX) & (arrays.sizes[clutter].max(axis=1) <= MAX_PLATE)]
-    fruit, plates = _with_calyx(arrays, fruit, plates)
+    fruit, plates = _with_calyx(arrays, fruit, plates, petioles)
     hanging: list[list[Fruit]] = [[] for _ in branches]
     for one in fruit:
         row, _ = rachis.nearest(one.joint[None])
@@ -215,19 +218,41 @@ def _fruit(arrays: ShapeArrays, tomatoes: int, pedicels: npt.NDArray[np.int64], 
 
 
 def _with_calyx(
-    arrays: ShapeArrays, fruit: list[Fruit], plates: npt.NDArray[np.int64]
+    arrays: ShapeArrays, fruit: list[Fruit], plates: npt.NDArray[np.int64], petioles: npt.NDArray[np.int64]
 ) -> tuple[list[Fruit], npt.NDArray[np.int64]]:
     """Return the fruit with the boxes of their calyces, and the other boxes."""
     if not len(plates):
         return fruit, plates
     radii = arrays.sizes[: len(fruit)].max(axis=1)
-    distance, nearest = cKDTree(arrays.starts[: len(fruit)]).query(arrays.starts[plates])
-    small = np.linalg.norm(arrays.sizes[plates], axis=1) < radii[nearest]
-    own = small & (distance < CALYX_REACH * radii[nearest])
+    distance, owner = cKDTree(arrays.starts[: len(fruit)]).query(arrays.starts[plates])
+    small = np.linalg.norm(arrays.sizes[plates], axis=1) < radii[owner]
+    own = small & (distance < CALYX_REACH * radii[owner])
+    fruit_of = {row: one.row for one in fruit for row in one.pedicel}
+    if fruit_of:
+        gaps, pedicels = _nearest_piece(arrays, plates, np.array([*fruit_of]))
+        beyond, _ = _nearest_piece(arrays, plates, petioles)
+        at_pedicel = (gaps < CALYX_GAP) & (gaps < beyond)
+        owner = np.where(at_pedicel, [fruit_of[row] for row in pedicels.tolist()], owner)
+        own |= at_pedicel
     calyx: list[list[int]] = [[] for _ in fruit]
-    for row, k in zip(plates[own].tolist(), nearest[own].tolist(), strict=True):
+    for row, k in zip(plates[own].tolist(), owner[own].tolist(), strict=True):
         calyx[k].append(row)
     return [Fruit(f.row, f.joint, f.pedicel, tuple(c)) for f, c in zip(fruit, calyx, strict=True)], plates[~own]
+
+
+def _nearest_piece(
+    arrays: ShapeArrays, plates: npt.NDArray[np.int64], pieces: npt.NDArray[np.int64]
+) -> tuple[Array, npt.NDArray[np.int64]]:
+    """Return the distances (n,) of boxes, by their middles and ends, from the nearest capsules, and these (n,)."""
+    if not len(pieces):
+        return np.full(len(plates), np.inf), np.full(len(plates), -1)
+    t = np.linspace(0.0, 1.0, 9)[:, None, None]
+    samples = arrays.starts[pieces] + t * (arrays.ends[pieces] - arrays.starts[pieces])
+    middle = arrays.starts[plates]
+    half = arrays.rotations[plates][:, :, 0] * arrays.sizes[plates][:, :1]
+    distances, found = cKDTree(samples.reshape(-1, 3)).query(np.stack([middle, middle - half, middle + half]))
+    best, each = distances.argmin(axis=0), np.arange(len(plates))
+    return distances[best, each], pieces[found[best, each] % len(pieces)]
 
 
 def _leaves(
@@ -238,16 +263,7 @@ def _leaves(
     owner = {row: k for k, branch in enumerate(branches) for row in branch.rows}
     own: list[list[int]] = [[] for _ in branches]
     if branches and len(plates):
-        # the nearest petiole among samples along each piece: a leaflet reaches its petiole with its middle or an end
-        t = np.linspace(0.0, 1.0, 9)[:, None, None]
-        samples = arrays.starts[petioles] + t * (arrays.ends[petioles] - arrays.starts[petioles])
-        tree, of = cKDTree(samples.reshape(-1, 3)), np.tile(petioles, len(t))
-        middle = arrays.starts[plates]
-        half = arrays.rotations[plates][:, :, 0] * arrays.sizes[plates][:, :1]
-        distances, found = tree.query(np.stack([middle, middle - half, middle + half]))
-        best = distances.argmin(axis=0)
-        each = np.arange(len(plates))
-        for row, gap, petiole in zip(plates, distances[best, each], of[found[best, each]], strict=True):
+        for row, gap, petiole in zip(plates, *_nearest_piece(arrays, plates, petioles), strict=True):
             if gap <= MAX_PLATE_DISTANCE:
                 own[owner[int(petiole)]].append(int(row))
     return tuple(Leaf(b.root, b.tip, b.rows, tuple(p)) for b, p in zip(branches, own, strict=True))
