@@ -3,15 +3,13 @@
 A field covers a box in front of the arm, in the frame of the arm's base (x forward, z up). It is sampled at nodes
 2 cm apart, stored as float16 and capped at `MAX_DISTANCE`. A node whose nearest obstacle is a tomato also stores the
 distance without that tomato, so that one field serves every target of a scene. Fields of many scenes are stacked in one
-array, so that one lookup serves many simulations.
+array, so that one lookup serves many simulations. A field is computed where it is looked up: an arm passes a fraction
+of it.
 """
 
 from __future__ import annotations
 
-import os
-from concurrent.futures import Future, ThreadPoolExecutor
-from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -25,7 +23,10 @@ CELL = 0.02
 """Distance between nodes, metres."""
 
 SHAPE = (48, 88, 88)
-"""Number of nodes along x, y, z: multiples of the largest block of `greenhouse_gym.motion.field_kernels`."""
+"""Number of nodes along x, y, z: multiples of `BLOCK`."""
+
+BLOCK = 8
+"""Nodes along x and y that are computed at once, with all nodes above and below them."""
 
 ORIGIN = (0.10, -0.87, -0.80)
 """Position of the first node in the frame of the arm's base, metres."""
@@ -61,17 +62,27 @@ def obstacle_field(
     Returns:
         Array of shape `SHAPE` of `NODE`, metres.
     """
-    from greenhouse_gym.motion.field_kernels import obstacle_nodes
-
-    base = np.eye(4) if scene_from_base is None else np.array(scene_from_base, dtype=np.float64)
     nodes = np.empty(_SIZE, dtype=np.uint64) if out is None else out
+    _compute(_source(shapes, tomatoes, scene_from_base), np.ones(_COLUMNS, dtype=np.bool_), nodes)
+    return nodes.view(NODE).reshape(SHAPE)
+
+
+_Source = tuple[npt.NDArray[Any], ...]  # the obstacles as `obstacle_nodes` wants them
+
+
+def _source(shapes: ShapeArrays, tomatoes: int, scene_from_base: npt.ArrayLike | None) -> _Source:
+    base = np.eye(4) if scene_from_base is None else np.array(scene_from_base, dtype=np.float64)
     fruit, others = shapes.select(slice(tomatoes)), shapes.select(slice(tomatoes, None))
     centers = transform(invert(base), fruit.starts)
-    obstacle_nodes(
-        *_parts(others, base), np.column_stack([centers, fruit.sizes[:, 0]]), fruit.kinds == ELLIPSOID,
-        fruit.starts, fruit.sizes, fruit.rotations, base, nodes,
-    )  # fmt: skip
-    return nodes.view(NODE).reshape(SHAPE)
+    spheres = np.column_stack([centers, fruit.sizes[:, 0]])
+    return (*_parts(others, base), spheres, fruit.kinds == ELLIPSOID, fruit.starts, fruit.sizes, fruit.rotations, base)
+
+
+def _compute(source: _Source, columns: npt.NDArray[np.bool_], nodes: npt.NDArray[np.uint64]) -> None:
+    """Compute the nodes of some columns, a mask of shape `_COLUMNS`."""
+    from greenhouse_gym.motion.field_kernels import obstacle_nodes
+
+    obstacle_nodes(*source, columns, nodes)
 
 
 def _parts(shapes: ShapeArrays, scene_from_base: Array) -> tuple[Float32, Float32]:
@@ -92,39 +103,51 @@ _SLOTS = 256  # at first, 3 MB each; memory is taken by those in use only
 
 
 class FieldStore:
-    """Fields of many scenes in one array, indexed by slot; they are computed by threads until they are looked up."""
+    """Fields of many scenes in one array, indexed by slot; their columns are computed when they are looked up."""
 
     def __init__(self) -> None:
-        self._pending: list[Future[npt.NDArray[np.void]]] = []
-        self._nodes = np.empty((_SLOTS, _SIZE), dtype=np.uint64)
+        self._sources: dict[int, _Source] = {}
+        self._allocate(_SLOTS)
         self._free = list(range(_SLOTS - 1, -1, -1))
+
+    def _allocate(self, count: int) -> None:
+        """Make room for a number of slots, with nothing computed."""
+        self._nodes = np.empty((count, _SIZE), dtype=np.uint64)
+        self._computed = np.zeros((count, *_COLUMNS), dtype=np.bool_)
+        self._known = np.zeros((count, *SHAPE[:2]), dtype=np.bool_)  # cells with all corners computed, by x and y
 
     def __len__(self) -> int:
         return len(self._nodes) - len(self._free)
 
     def add(self, shapes: ShapeArrays, tomatoes: int = 0, scene_from_base: npt.ArrayLike | None = None) -> int:
-        """Compute a field as `obstacle_field` does and return its slot."""
+        """Return the slot of a new field, as `obstacle_field` computes it."""
         if not self._free:
-            self._finish()
             count = len(self._nodes)
-            grown = np.empty((2 * count, _SIZE), dtype=np.uint64)
-            grown[:count] = self._nodes
-            self._nodes = grown
+            self._allocate(2 * count)
             self._free = list(range(2 * count - 1, count - 1, -1))
         slot = self._free.pop()
-        threads = _threads(os.getpid())
-        self._pending.append(threads.submit(obstacle_field, shapes, tomatoes, scene_from_base, self._nodes[slot]))
+        self._sources[slot] = _source(shapes, tomatoes, scene_from_base)
+        self._computed[slot] = self._known[slot] = False
         return slot
-
-    def _finish(self) -> None:
-        """Wait for the fields that are being computed."""
-        while self._pending:
-            self._pending.pop().result()
 
     def remove(self, slot: int) -> None:
         """Release a slot."""
-        self._finish()
+        del self._sources[slot]
         self._free.append(slot)
+
+    def _complete(self, cells: npt.NDArray[np.int64]) -> None:
+        """Compute what cells (k,) lack, given by their indices in `_known`."""
+        slots, x, y = np.unravel_index(np.unique(cells), self._known.shape)
+        for slot in np.unique(slots).tolist():
+            own = slots == slot
+            wanted = np.zeros(_COLUMNS, dtype=np.bool_)
+            for i, j in ((0, 0), (0, 1), (1, 0), (1, 1)):
+                wanted[(x[own] + i) // BLOCK, (y[own] + j) // BLOCK] = True
+            computed = self._computed[slot]
+            _compute(self._sources[slot], wanted & ~computed, self._nodes[slot])
+            computed |= wanted
+            nodes = computed.repeat(BLOCK, axis=0).repeat(BLOCK, axis=1)
+            self._known[slot, :-1, :-1] = nodes[:-1, :-1] & nodes[1:, :-1] & nodes[:-1, 1:] & nodes[1:, 1:]
 
     def lookup(
         self, slots: npt.NDArray[np.int64], ignored: npt.NDArray[np.int64], points: npt.NDArray[np.float64]
@@ -143,7 +166,6 @@ class FieldStore:
             Distances (n, k), metres, at most `MAX_DISTANCE`; unit directions (n, k, 3) towards the obstacle, zero
             where the distance is capped.
         """
-        self._finish()
         n, k, _ = points.shape
         # One row per axis from here on, and few array operations: their number sets the time of a single simulation.
         position = np.array(((points.reshape(-1, 3) - _ORIGIN) / CELL).T, dtype=np.float32, order="C")
@@ -152,6 +174,10 @@ class FieldStore:
         x, y, z = inside - node.astype(np.float32)
         flat = _STRIDES @ node
         flat += (slots * _SIZE).repeat(k)
+        cells = flat // SHAPE[2]
+        known = self._known.reshape(-1).take(cells)
+        if not known.all():
+            self._complete(cells[~known])
         corners = self._nodes.reshape(-1).take(flat + _CORNERS).view(NODE)  # (2, 2, 2, n * k): z, y, x
         is_ignored = corners["tomato"] == ignored.repeat(k)
         c = np.where(is_ignored, corners["otherwise"], corners["distance"]).astype(np.float32)
@@ -200,17 +226,12 @@ class FieldsOfSimulations(NamedTuple):
         return self.store.lookup(self.slots, self.ignored, points)
 
 
-@lru_cache(maxsize=1)
-def _threads(process: int) -> ThreadPoolExecutor:
-    """Return the threads of a process; a forked one needs its own."""
-    return ThreadPoolExecutor(os.cpu_count())
-
-
 _ORIGIN = np.array(ORIGIN)
 # Just below the last node, so that every cell has an upper corner.
 _LAST = np.nextafter(np.array(SHAPE, dtype=np.float32) - 1, np.float32(0.0))[:, None]
 _STRIDES = np.array([SHAPE[1] * SHAPE[2], SHAPE[2], 1])
 _SIZE = SHAPE[0] * SHAPE[1] * SHAPE[2]
+_COLUMNS = SHAPE[0] // BLOCK, SHAPE[1] // BLOCK
 _CORNERS = np.add.outer(np.add.outer([0, _STRIDES[2]], [0, _STRIDES[1]]), [0, _STRIDES[0]])[..., None]
 _ZERO, _TINY, _CELL, _MAX, _NEARLY_MAX = np.array([0.0, 1e-6, CELL, MAX_DISTANCE, MAX_DISTANCE - 1e-3], np.float32)
 

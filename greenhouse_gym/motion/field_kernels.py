@@ -10,20 +10,20 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.common.jit import allocating, inlined, kernel
-from greenhouse_gym.motion.distance_field import CELL, MAX_DEPTH, MAX_DISTANCE, ORIGIN, SHAPE
+from greenhouse_gym.motion.distance_field import BLOCK, CELL, MAX_DEPTH, MAX_DISTANCE, ORIGIN, SHAPE
 
 Float32 = npt.NDArray[np.float32]
 Array = npt.NDArray[np.float64]
 
-_X, _Y, _Z = SHAPE
+_, _Y, _Z = SHAPE
 _ORIGIN_X, _ORIGIN_Y, _ORIGIN_Z = ORIGIN
-_BLOCK, _PART = 8, 4  # nodes per side
+_PART = 4  # nodes per side
 _NODES = _PART**3
 _ZERO, _ONE, _HALF = np.float32(0), np.float32(1), np.float32(0.5)
 _FAR, _DEEP, _NONE = np.float32(MAX_DISTANCE), np.float32(-MAX_DEPTH), np.float32(1e30)
 _BEYOND = np.float32(MAX_DISTANCE + 1e-3)  # farther than what is stored, also after rounding
 _SLACK = 1e-5  # metres, more than single precision rounds off
-_BLOCK_RADIUS = np.float32((_BLOCK - 1) / 2 * CELL * np.sqrt(3.0) + _SLACK)
+_BLOCK_RADIUS = np.float32((BLOCK - 1) / 2 * CELL * np.sqrt(3.0) + _SLACK)
 _PART_RADIUS = np.float32((_PART - 1) / 2 * CELL * np.sqrt(3.0) + _SLACK)
 _NEWTON_STEPS = 9
 # float16 as the bits of a float32: its smallest normal number, the difference of the exponents' biases, the bits lost
@@ -127,8 +127,8 @@ def _to_ellipsoid(memory, count, axes):
 
 
 @allocating
-def _to_others(block_x, capsules, boxes, nearest):
-    """Compute the signed distances from all nodes to the union of capsules and boxes, at most the largest stored one.
+def _to_others(block_x, block_y, capsules, boxes, nearest):
+    """Compute the signed distances from a column of nodes to capsules and boxes, at most the largest stored one.
 
     Blocks of nodes are halved; a shape stays with a block only while it may be the nearest one somewhere in it.
     """
@@ -140,53 +140,53 @@ def _to_others(block_x, capsules, boxes, nearest):
         np.empty(_NODES, np.float32),
     )  # fmt: skip
     nearest[:] = _as_half(_FAR)
-    for block_y in range(0, _Y, _BLOCK):
-        for block_z in range(0, _Z, _BLOCK):
-            half = (_BLOCK - 1) / 2
-            x = np.float32((block_x + half) * CELL + _ORIGIN_X)
-            y = np.float32((block_y + half) * CELL + _ORIGIN_Y)
-            z = np.float32((block_z + half) * CELL + _ORIGIN_Z)
-            for i in range(n):
-                distances[i] = _to_capsule(x, y, z, _capsule(capsules, i))
-            for i in range(m):
-                distances[n + i] = _to_box(x, y, z, _box(boxes, i))
-            count = _keep(distances, n + m, _BLOCK_RADIUS, everything, in_block)
-            for part in range(8 if count else 0):
-                part_x = block_x + _PART * (part >> 2)
-                part_y = block_y + _PART * ((part >> 1) & 1)
-                part_z = block_z + _PART * (part & 1)
-                half = (_PART - 1) / 2
-                x = np.float32((part_x + half) * CELL + _ORIGIN_X)
-                y = np.float32((part_y + half) * CELL + _ORIGIN_Y)
-                z = np.float32((part_z + half) * CELL + _ORIGIN_Z)
-                k = 0
-                while k < count and in_block[k] < n:
-                    distances[k] = _to_capsule(x, y, z, _capsule(capsules, in_block[k]))
-                    k += 1
-                while k < count:
-                    distances[k] = _to_box(x, y, z, _box(boxes, in_block[k] - n))
-                    k += 1
-                left = _keep(distances, count, _PART_RADIUS, in_block, in_part)
-                if left == 0:
-                    continue
-                for k in range(_NODES):
-                    xs[k] = np.float32((part_x + (k >> 4)) * CELL + _ORIGIN_X)
-                    ys[k] = np.float32((part_y + ((k >> 2) & 3)) * CELL + _ORIGIN_Y)
-                    zs[k] = np.float32((part_z + (k & 3)) * CELL + _ORIGIN_Z)
-                    best[k] = _FAR
-                first = 0
-                for j in range(1, left):
-                    first = j if distances[j] < distances[first] else first
-                _lower(best, xs, ys, zs, capsules, boxes, in_part[first])
-                largest = best[0]
-                for k in range(1, _NODES):
-                    largest = best[k] if best[k] > largest else largest
-                for j in range(left):
-                    if j != first and distances[j] - _PART_RADIUS < largest:
-                        _lower(best, xs, ys, zs, capsules, boxes, in_part[j])
-                for k in range(_NODES):
-                    d = best[k] if best[k] > _DEEP else _DEEP
-                    nearest[part_x - block_x + (k >> 4), part_y + ((k >> 2) & 3), part_z + (k & 3)] = _as_half(d)
+    for block_z in range(0, _Z, BLOCK):
+        half = (BLOCK - 1) / 2
+        x = np.float32((block_x + half) * CELL + _ORIGIN_X)
+        y = np.float32((block_y + half) * CELL + _ORIGIN_Y)
+        z = np.float32((block_z + half) * CELL + _ORIGIN_Z)
+        for i in range(n):
+            distances[i] = _to_capsule(x, y, z, _capsule(capsules, i))
+        for i in range(m):
+            distances[n + i] = _to_box(x, y, z, _box(boxes, i))
+        count = _keep(distances, n + m, _BLOCK_RADIUS, everything, in_block)
+        for part in range(8 if count else 0):
+            part_x = block_x + _PART * (part >> 2)
+            part_y = block_y + _PART * ((part >> 1) & 1)
+            part_z = block_z + _PART * (part & 1)
+            half = (_PART - 1) / 2
+            x = np.float32((part_x + half) * CELL + _ORIGIN_X)
+            y = np.float32((part_y + half) * CELL + _ORIGIN_Y)
+            z = np.float32((part_z + half) * CELL + _ORIGIN_Z)
+            k = 0
+            while k < count and in_block[k] < n:
+                distances[k] = _to_capsule(x, y, z, _capsule(capsules, in_block[k]))
+                k += 1
+            while k < count:
+                distances[k] = _to_box(x, y, z, _box(boxes, in_block[k] - n))
+                k += 1
+            left = _keep(distances, count, _PART_RADIUS, in_block, in_part)
+            if left == 0:
+                continue
+            for k in range(_NODES):
+                xs[k] = np.float32((part_x + (k >> 4)) * CELL + _ORIGIN_X)
+                ys[k] = np.float32((part_y + ((k >> 2) & 3)) * CELL + _ORIGIN_Y)
+                zs[k] = np.float32((part_z + (k & 3)) * CELL + _ORIGIN_Z)
+                best[k] = _FAR
+            first = 0
+            for j in range(1, left):
+                first = j if distances[j] < distances[first] else first
+            _lower(best, xs, ys, zs, capsules, boxes, in_part[first])
+            largest = best[0]
+            for k in range(1, _NODES):
+                largest = best[k] if best[k] > largest else largest
+            for j in range(left):
+                if j != first and distances[j] - _PART_RADIUS < largest:
+                    _lower(best, xs, ys, zs, capsules, boxes, in_part[j])
+            for k in range(_NODES):
+                d = best[k] if best[k] > _DEEP else _DEEP
+                x, y, z = part_x - block_x + (k >> 4), part_y - block_y + ((k >> 2) & 3), part_z + (k & 3)
+                nearest[x, y, z] = _as_half(d)
 
 
 @inlined
@@ -212,26 +212,25 @@ def _as_half(value):
 
 
 @inlined
-def _range(center, reach, origin, count):
-    """Return the first and the last plus one of the nodes along an axis within reach of a center."""
+def _range(center, reach, origin, first, count):
+    """Return the first and the last plus one of some nodes along an axis within reach of a center."""
     low, high = np.ceil((center - reach - origin) / CELL), np.floor((center + reach - origin) / CELL) + 1
-    return int(max(low, 0.0)), int(min(high, float(count)))
+    return max(int(max(low, 0.0)), first), min(int(max(high, 0.0)), first + count)
 
 
 @inlined
 def _to_tomato(
-    first_x, k, tomato, stretched, center, semi_axes, rotation, base, first, second, index, memory, own, chosen
+    block_x, block_y, k, tomato, stretched, center, semi_axes, rotation, base, first, second, index, memory, own, chosen
 ):
-    """Lower the distances of nodes to those from tomato k where it is nearer, in a slab from a plane on."""
+    """Lower the distances of a column of nodes to those from tomato k where it is nearer."""
     center_x, center_y, center_z, radius = tomato
     size = max(semi_axes[0], max(semi_axes[1], semi_axes[2])) if stretched else radius
     reach, number = size + MAX_DISTANCE, np.int16(k)
-    low_x, high_x = _range(center_x, reach, _ORIGIN_X, _X)
-    low_x, high_x = max(low_x, first_x), min(high_x, first_x + _BLOCK)
-    if low_x >= high_x:
+    low_x, high_x = _range(center_x, reach, _ORIGIN_X, block_x, BLOCK)
+    low_y, high_y = _range(center_y, reach, _ORIGIN_Y, block_y, BLOCK)
+    if low_x >= high_x or low_y >= high_y:
         return
-    low_y, high_y = _range(center_y, reach, _ORIGIN_Y, _Y)
-    low_z, high_z = _range(center_z, reach, _ORIGIN_Z, _Z)
+    low_z, high_z = _range(center_z, reach, _ORIGIN_Z, 0, _Z)
     bound = np.float32(size + _SLACK) if stretched else np.float32(radius)
     squares, d = own[0], own[1]
     for z in range(_Z):
@@ -246,7 +245,8 @@ def _to_tomato(
             flat = dx * dx + dy * dy
             if np.sqrt(flat) - bound > _BEYOND:
                 continue
-            f, s, tomatoes = first[x - first_x, y], second[x - first_x, y], index[x - first_x, y]
+            i, j = x - block_x, y - block_y
+            f, s, tomatoes = first[i, j], second[i, j], index[i, j]
             for z in range(_Z):
                 d[z] = np.sqrt(flat + squares[z]) - bound
             if stretched:  # exact only where it may be nearer than the second nearest
@@ -274,7 +274,8 @@ def _to_tomato(
 
 
 @kernel(
-    "void(f4[:, ::1], f4[:, ::1], f8[:, ::1], b1[::1], f8[:, ::1], f8[:, ::1], f8[:, :, ::1], f8[:, ::1], u8[::1])",
+    "void(f4[:, ::1], f4[:, ::1], f8[:, ::1], b1[::1], f8[:, ::1], f8[:, ::1], f8[:, :, ::1], f8[:, ::1], b1[:, ::1], "
+    "u8[::1])",
     writes=("nodes",),
 )
 def obstacle_nodes(
@@ -286,9 +287,10 @@ def obstacle_nodes(
     semi_axes: Array,
     rotations: Array,
     scene_from_base: Array,
+    columns: npt.NDArray[np.bool_],
     nodes: npt.NDArray[np.uint64],
 ) -> None:
-    """Compute the nodes of a scene's field.
+    """Compute columns of nodes of a scene's field, each `BLOCK` nodes wide along x and y.
 
     Args:
         capsules: (8, n) start, axis, inverse of its squared length or 0, and radius of capsules, base frame.
@@ -299,28 +301,32 @@ def obstacle_nodes(
         semi_axes: (t, 3)
         rotations: and (t, 3, 3) of those.
         scene_from_base: (4, 4) pose of the base.
-        nodes: (nodes,) the result: `NODE` as whole numbers.
+        columns: (x, y) whether to compute each column.
+        nodes: (nodes,) those of the whole field, `NODE` as whole numbers; only the columns are written.
     """
-    slab = _BLOCK, _Y, _Z  # at a time, which fits into the cache of a processor
-    first, second, tomato = np.empty(slab, np.float32), np.empty(slab, np.float32), np.empty(slab, np.int16)
+    shape = BLOCK, BLOCK, _Z
+    first, second, tomato = np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty(shape, np.int16)
     memory, own, chosen = np.empty((5, _Z)), np.empty((2, _Z), np.float32), np.empty(_Z, np.int64)
-    i = 0
-    for first_x in range(0, _X, _BLOCK):
-        _to_others(first_x, capsules, boxes, first)
-        for x in range(_BLOCK):
-            for y in range(_Y):
+    for column in range(columns.size):
+        i, j = column // columns.shape[1], column % columns.shape[1]
+        if not columns[i, j]:
+            continue
+        block_x, block_y = BLOCK * i, BLOCK * j
+        _to_others(block_x, block_y, capsules, boxes, first)
+        for x in range(BLOCK):
+            for y in range(BLOCK):
                 for z in range(_Z):
                     second[x, y, z], tomato[x, y, z] = first[x, y, z], -1
         for k in range(len(tomatoes)):
             _to_tomato(
-                first_x, k, tomatoes[k], stretched[k], centers[k], semi_axes[k], rotations[k], scene_from_base,
-                first, second, tomato, memory, own, chosen,
+                block_x, block_y, k, tomatoes[k], stretched[k], centers[k], semi_axes[k], rotations[k],
+                scene_from_base, first, second, tomato, memory, own, chosen,
             )  # fmt: skip
-        for x in range(_BLOCK):
-            for y in range(_Y):
+        for x in range(BLOCK):
+            for y in range(BLOCK):
+                i = ((block_x + x) * _Y + block_y + y) * _Z
                 for z in range(_Z):
                     d = first[x, y, z] if first[x, y, z] > _DEEP else _DEEP
                     other = second[x, y, z] if second[x, y, z] > _DEEP else _DEEP
                     both = np.uint64(_half_bits(d) | (_half_bits(other) << np.uint32(16)))
-                    nodes[i] = both | (np.uint64(tomato[x, y, z] & 0xFFFF) << np.uint64(32))
-                    i += 1
+                    nodes[i + z] = both | (np.uint64(tomato[x, y, z] & 0xFFFF) << np.uint64(32))
