@@ -40,7 +40,7 @@ RANGES = {"own": 0.8, "VAMP": 1.5}
 """Longest motions by which trees grow, radians: both sides' defaults, VAMP's for its UR5."""
 
 SECONDS = 20.0
-"""Limit of our search; VAMP has 5 million iterations, most of which check nothing."""
+"""Limit of our search; VAMP gets 5 million iterations, few with a check."""
 
 
 class Problem(NamedTuple):

@@ -26,7 +26,7 @@ SHAPE = (48, 88, 88)
 """Number of nodes along x, y, z: multiples of `BLOCK`."""
 
 BLOCK = 8
-"""Nodes along x and y that are computed at once, with all nodes above and below them."""
+"""Nodes along x and y of a column of nodes, which is computed at once."""
 
 ORIGIN = (0.10, -0.87, -0.80)
 """Position of the first node in the frame of the arm's base, metres."""
@@ -62,12 +62,19 @@ def obstacle_field(
     Returns:
         Array of shape `SHAPE` of `NODE`, metres.
     """
-    nodes = np.empty(_SIZE, dtype=np.uint64) if out is None else out
-    _compute(_source(shapes, tomatoes, scene_from_base), np.ones(_COLUMNS, dtype=np.bool_), nodes)
+    from greenhouse_gym.motion.field_kernels import column_nodes
+
+    source, (x, y, z) = _source(shapes, tomatoes, scene_from_base), SHAPE
+    nodes = np.empty(x * y * z, dtype=np.uint64) if out is None else out
+    whole, column = nodes.reshape(SHAPE), np.empty(_COLUMN, dtype=np.uint64)
+    for i in range(0, x, BLOCK):
+        for j in range(0, y, BLOCK):
+            column_nodes(*source, i, j, column)
+            whole[i : i + BLOCK, j : j + BLOCK] = column
     return nodes.view(NODE).reshape(SHAPE)
 
 
-_Source = tuple[npt.NDArray[Any], ...]  # the obstacles as `obstacle_nodes` wants them
+_Source = tuple[npt.NDArray[Any], ...]  # the obstacles as `column_nodes` wants them
 
 
 def _source(shapes: ShapeArrays, tomatoes: int, scene_from_base: npt.ArrayLike | None) -> _Source:
@@ -78,15 +85,8 @@ def _source(shapes: ShapeArrays, tomatoes: int, scene_from_base: npt.ArrayLike |
     return (*_parts(others, base), spheres, fruit.kinds == ELLIPSOID, fruit.starts, fruit.sizes, fruit.rotations, base)
 
 
-def _compute(source: _Source, columns: npt.NDArray[np.bool_], nodes: npt.NDArray[np.uint64]) -> None:
-    """Compute the nodes of some columns, a mask of shape `_COLUMNS`."""
-    from greenhouse_gym.motion.field_kernels import obstacle_nodes
-
-    obstacle_nodes(*source, columns, nodes)
-
-
 def _parts(shapes: ShapeArrays, scene_from_base: Array) -> tuple[Float32, Float32]:
-    """Return capsules (8, n) and boxes (15, m) in the base frame as `obstacle_nodes` wants them."""
+    """Return capsules (8, n) and boxes (15, m) in the base frame as `column_nodes` wants them."""
     rotation, position = scene_from_base[:3, :3], scene_from_base[:3, 3]
     starts = (shapes.starts - position) @ rotation
     axes = (shapes.ends - shapes.starts) @ rotation
@@ -99,55 +99,55 @@ def _parts(shapes: ShapeArrays, scene_from_base: Array) -> tuple[Float32, Float3
     return np.ascontiguousarray(capsules.T, dtype=np.float32), np.ascontiguousarray(boxes.T, dtype=np.float32)
 
 
-_SLOTS = 256  # at first, 3 MB each; memory is taken by those in use only
+_SLOTS, _ROOM = 64, 256  # at first; a column takes 45 kB
 
 
 class FieldStore:
-    """Fields of many scenes in one array, indexed by slot; their columns are computed when they are looked up."""
+    """Fields of many scenes, by slot; their columns are computed when they are looked up, into one array."""
 
     def __init__(self) -> None:
-        self._sources: dict[int, _Source] = {}
-        self._allocate(_SLOTS)
-        self._free = list(range(_SLOTS - 1, -1, -1))
-
-    def _allocate(self, count: int) -> None:
-        """Make room for a number of slots, with nothing computed."""
-        self._nodes = np.empty((count, _SIZE), dtype=np.uint64)
-        self._computed = np.zeros((count, *_COLUMNS), dtype=np.bool_)
-        self._known = np.zeros((count, *SHAPE[:2]), dtype=np.bool_)  # cells with all corners computed, by x and y
+        self._sources: list[_Source | None] = []
+        self._free: list[int] = []
+        self._nodes = np.empty((_ROOM, *_COLUMN), dtype=np.uint64)
+        self._unused = list(range(_ROOM - 1, -1, -1))  # columns
+        # the first node, over the number of nodes along z, of the cells at x and y of a slot; -1 if not yet computed
+        self._first = np.full((_SLOTS, *SHAPE[:2]), -1)
 
     def __len__(self) -> int:
-        return len(self._nodes) - len(self._free)
+        return len(self._sources) - len(self._free)
 
     def add(self, shapes: ShapeArrays, tomatoes: int = 0, scene_from_base: npt.ArrayLike | None = None) -> int:
         """Return the slot of a new field, as `obstacle_field` computes it."""
         if not self._free:
-            count = len(self._nodes)
-            self._allocate(2 * count)
-            self._free = list(range(2 * count - 1, count - 1, -1))
+            self._free.append(len(self._sources))
+            self._sources.append(None)
+            if len(self._sources) > len(self._first):
+                self._first = np.concatenate([self._first, np.full_like(self._first, -1)])
         slot = self._free.pop()
         self._sources[slot] = _source(shapes, tomatoes, scene_from_base)
-        self._computed[slot] = self._known[slot] = False
         return slot
 
     def remove(self, slot: int) -> None:
         """Release a slot."""
-        del self._sources[slot]
+        self._unused += np.unique(self._first[slot] // BLOCK**2)[1:].tolist()  # all but -1, which is there
+        self._first[slot], self._sources[slot] = -1, None
         self._free.append(slot)
 
     def _complete(self, cells: npt.NDArray[np.int64]) -> None:
-        """Compute what cells (k,) lack, given by their indices in `_known`."""
-        slots, x, y = np.unravel_index(np.unique(cells), self._known.shape)
-        for slot in np.unique(slots).tolist():
-            own = slots == slot
-            wanted = np.zeros(_COLUMNS, dtype=np.bool_)
-            for i, j in ((0, 0), (0, 1), (1, 0), (1, 1)):
-                wanted[(x[own] + i) // BLOCK, (y[own] + j) // BLOCK] = True
-            computed = self._computed[slot]
-            _compute(self._sources[slot], wanted & ~computed, self._nodes[slot])
-            computed |= wanted
-            nodes = computed.repeat(BLOCK, axis=0).repeat(BLOCK, axis=1)
-            self._known[slot, :-1, :-1] = nodes[:-1, :-1] & nodes[1:, :-1] & nodes[:-1, 1:] & nodes[1:, 1:]
+        """Compute the columns of cells (k,), given by their indices in `_first`."""
+        from greenhouse_gym.motion.field_kernels import column_nodes
+
+        slots, x, y = np.unravel_index(cells, self._first.shape)
+        for slot, i, j in sorted(set(zip(slots.tolist(), (x // _CELLS).tolist(), (y // _CELLS).tolist(), strict=True))):
+            if not self._unused:
+                count = len(self._nodes)
+                self._nodes = np.concatenate([self._nodes, np.empty_like(self._nodes)])
+                self._unused += range(2 * count - 1, count - 1, -1)
+            column, source = self._unused.pop(), self._sources[slot]
+            assert source is not None
+            column_nodes(*source, _CELLS * i, _CELLS * j, self._nodes[column])
+            own = self._first[slot, _CELLS * i : _CELLS * (i + 1), _CELLS * j : _CELLS * (j + 1)]
+            own[:] = BLOCK**2 * column + _IN_COLUMN[: len(own), : own.shape[1]]
 
     def lookup(
         self, slots: npt.NDArray[np.int64], ignored: npt.NDArray[np.int64], points: npt.NDArray[np.float64]
@@ -172,12 +172,12 @@ class FieldStore:
         inside = np.minimum(np.maximum(position, _ZERO), _LAST)
         node = inside.astype(np.int64)
         x, y, z = inside - node.astype(np.float32)
-        flat = _STRIDES @ node
-        flat += (slots * _SIZE).repeat(k)
-        cells = flat // SHAPE[2]
-        known = self._known.reshape(-1).take(cells)
-        if not known.all():
-            self._complete(cells[~known])
+        cells = node[0] * SHAPE[1] + node[1] + (slots * _CELLS_OF_SLOT).repeat(k)
+        first = self._first.reshape(-1).take(cells)
+        if np.minimum.reduce(first, initial=0) < 0:
+            self._complete(cells[first < 0])
+            first = self._first.reshape(-1).take(cells)
+        flat = first * SHAPE[2] + node[2]
         corners = self._nodes.reshape(-1).take(flat + _CORNERS).view(NODE)  # (2, 2, 2, n * k): z, y, x
         is_ignored = corners["tomato"] == ignored.repeat(k)
         c = np.where(is_ignored, corners["otherwise"], corners["distance"]).astype(np.float32)
@@ -229,10 +229,11 @@ class FieldsOfSimulations(NamedTuple):
 _ORIGIN = np.array(ORIGIN)
 # Just below the last node, so that every cell has an upper corner.
 _LAST = np.nextafter(np.array(SHAPE, dtype=np.float32) - 1, np.float32(0.0))[:, None]
-_STRIDES = np.array([SHAPE[1] * SHAPE[2], SHAPE[2], 1])
-_SIZE = SHAPE[0] * SHAPE[1] * SHAPE[2]
-_COLUMNS = SHAPE[0] // BLOCK, SHAPE[1] // BLOCK
-_CORNERS = np.add.outer(np.add.outer([0, _STRIDES[2]], [0, _STRIDES[1]]), [0, _STRIDES[0]])[..., None]
+_COLUMN = BLOCK, BLOCK, SHAPE[2]
+_CELLS = BLOCK - 1  # along x and y in a column; neighboring columns share nodes
+_IN_COLUMN = np.add.outer(BLOCK * np.arange(_CELLS), np.arange(_CELLS))
+_CELLS_OF_SLOT = SHAPE[0] * SHAPE[1]
+_CORNERS = np.add.outer(np.add.outer([0, 1], [0, SHAPE[2]]), [0, BLOCK * SHAPE[2]])[..., None]
 _ZERO, _TINY, _CELL, _MAX, _NEARLY_MAX = np.array([0.0, 1e-6, CELL, MAX_DISTANCE, MAX_DISTANCE - 1e-3], np.float32)
 
 

@@ -274,11 +274,11 @@ def _to_tomato(
 
 
 @kernel(
-    "void(f4[:, ::1], f4[:, ::1], f8[:, ::1], b1[::1], f8[:, ::1], f8[:, ::1], f8[:, :, ::1], f8[:, ::1], b1[:, ::1], "
-    "u8[::1])",
+    "void(f4[:, ::1], f4[:, ::1], f8[:, ::1], b1[::1], f8[:, ::1], f8[:, ::1], f8[:, :, ::1], f8[:, ::1], i8, i8, "
+    "u8[:, :, ::1])",
     writes=("nodes",),
 )
-def obstacle_nodes(
+def column_nodes(
     capsules: Float32,
     boxes: Float32,
     tomatoes: Array,
@@ -287,10 +287,11 @@ def obstacle_nodes(
     semi_axes: Array,
     rotations: Array,
     scene_from_base: Array,
-    columns: npt.NDArray[np.bool_],
+    block_x: int,
+    block_y: int,
     nodes: npt.NDArray[np.uint64],
 ) -> None:
-    """Compute columns of nodes of a scene's field, each `BLOCK` nodes wide along x and y.
+    """Compute a column of nodes of a scene's field, `BLOCK` nodes wide along x and y.
 
     Args:
         capsules: (8, n) start, axis, inverse of its squared length or 0, and radius of capsules, base frame.
@@ -301,32 +302,27 @@ def obstacle_nodes(
         semi_axes: (t, 3)
         rotations: and (t, 3, 3) of those.
         scene_from_base: (4, 4) pose of the base.
-        columns: (x, y) whether to compute each column.
-        nodes: (nodes,) those of the whole field, `NODE` as whole numbers; only the columns are written.
+        block_x: Its first node along x,
+        block_y: and along y.
+        nodes: (`BLOCK`, `BLOCK`, z) the result: `NODE` as whole numbers.
     """
     shape = BLOCK, BLOCK, _Z
     first, second, tomato = np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty(shape, np.int16)
     memory, own, chosen = np.empty((5, _Z)), np.empty((2, _Z), np.float32), np.empty(_Z, np.int64)
-    for column in range(columns.size):
-        i, j = column // columns.shape[1], column % columns.shape[1]
-        if not columns[i, j]:
-            continue
-        block_x, block_y = BLOCK * i, BLOCK * j
-        _to_others(block_x, block_y, capsules, boxes, first)
-        for x in range(BLOCK):
-            for y in range(BLOCK):
-                for z in range(_Z):
-                    second[x, y, z], tomato[x, y, z] = first[x, y, z], -1
-        for k in range(len(tomatoes)):
-            _to_tomato(
-                block_x, block_y, k, tomatoes[k], stretched[k], centers[k], semi_axes[k], rotations[k],
-                scene_from_base, first, second, tomato, memory, own, chosen,
-            )  # fmt: skip
-        for x in range(BLOCK):
-            for y in range(BLOCK):
-                i = ((block_x + x) * _Y + block_y + y) * _Z
-                for z in range(_Z):
-                    d = first[x, y, z] if first[x, y, z] > _DEEP else _DEEP
-                    other = second[x, y, z] if second[x, y, z] > _DEEP else _DEEP
-                    both = np.uint64(_half_bits(d) | (_half_bits(other) << np.uint32(16)))
-                    nodes[i + z] = both | (np.uint64(tomato[x, y, z] & 0xFFFF) << np.uint64(32))
+    _to_others(block_x, block_y, capsules, boxes, first)
+    for x in range(BLOCK):
+        for y in range(BLOCK):
+            for z in range(_Z):
+                second[x, y, z], tomato[x, y, z] = first[x, y, z], -1
+    for k in range(len(tomatoes)):
+        _to_tomato(
+            block_x, block_y, k, tomatoes[k], stretched[k], centers[k], semi_axes[k], rotations[k], scene_from_base,
+            first, second, tomato, memory, own, chosen,
+        )  # fmt: skip
+    for x in range(BLOCK):
+        for y in range(BLOCK):
+            for z in range(_Z):
+                d = first[x, y, z] if first[x, y, z] > _DEEP else _DEEP
+                other = second[x, y, z] if second[x, y, z] > _DEEP else _DEEP
+                both = np.uint64(_half_bits(d) | (_half_bits(other) << np.uint32(16)))
+                nodes[x, y, z] = both | (np.uint64(tomato[x, y, z] & 0xFFFF) << np.uint64(32))
