@@ -2,6 +2,8 @@
 
 python -m benchmarks.planning.vamp_arm VAMP/src/impl/vamp/robots/ur5e.hh
 
+Compile VAMP with ``VAMP_ROBOT_MODULES=ur5e`` and ``VAMP_ROBOT_STRUCTS=UR5E``.
+
 Spheres cover the capsules of `greenhouse_gym.motion.kernel_checker`, in the frame of the arm's base; each capsule has
 one sphere around it, which is checked first, and the pairs of capsules that may touch are those of MuJoCo.
 """
