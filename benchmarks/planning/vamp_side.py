@@ -7,13 +7,13 @@ import sys
 import time
 from typing import Any
 
-import vamp  # type: ignore[import-not-found]
-
 ITERATIONS, SAMPLES = 5_000_000, 100_000
 
 
 def solved(name: str, problem: dict[str, Any]) -> dict[str, Any]:
     """Plan and shorten a path, and check a given one between the obstacles as they are; seconds are processor time."""
+    import vamp  # type: ignore[import-not-found]
+
     robot, planner, settings, simplification = vamp.configure_robot_and_planner_with_kwargs(
         name, "rrtc", range=problem["range"], max_iterations=ITERATIONS, max_samples=SAMPLES
     )

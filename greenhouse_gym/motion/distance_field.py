@@ -9,7 +9,7 @@ of it.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -74,7 +74,8 @@ def obstacle_field(
     return nodes.view(NODE).reshape(SHAPE)
 
 
-_Source = tuple[npt.NDArray[Any], ...]  # the obstacles as `column_nodes` wants them
+# the obstacles as `column_nodes` wants them
+_Source = tuple[Float32, Float32, Array, npt.NDArray[np.bool_], Array, Array, Array, Array]
 
 
 def _source(shapes: ShapeArrays, tomatoes: int, scene_from_base: npt.ArrayLike | None) -> _Source:
@@ -141,7 +142,9 @@ class FieldStore:
         for slot, i, j in sorted(set(zip(slots.tolist(), (x // _CELLS).tolist(), (y // _CELLS).tolist(), strict=True))):
             if not self._unused:
                 count = len(self._nodes)
-                self._nodes = np.concatenate([self._nodes, np.empty_like(self._nodes)])
+                grown = np.empty((2 * count, *_COLUMN), dtype=np.uint64)
+                grown[:count] = self._nodes
+                self._nodes = grown
                 self._unused += range(2 * count - 1, count - 1, -1)
             column, source = self._unused.pop(), self._sources[slot]
             assert source is not None

@@ -185,8 +185,8 @@ def _to_others(block_x, block_y, capsules, boxes, nearest):
                     _lower(best, xs, ys, zs, capsules, boxes, in_part[j])
             for k in range(_NODES):
                 d = best[k] if best[k] > _DEEP else _DEEP
-                x, y, z = part_x - block_x + (k >> 4), part_y - block_y + ((k >> 2) & 3), part_z + (k & 3)
-                nearest[x, y, z] = _as_half(d)
+                a, b, c = part_x - block_x + (k >> 4), part_y - block_y + ((k >> 2) & 3), part_z + (k & 3)
+                nearest[a, b, c] = _as_half(d)
 
 
 @inlined
