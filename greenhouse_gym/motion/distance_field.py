@@ -107,31 +107,32 @@ class FieldStore:
     """Fields of many scenes, by slot; their columns are computed when they are looked up, into one array."""
 
     def __init__(self) -> None:
-        self._sources: list[_Source | None] = []
-        self._free: list[int] = []
+        self._sources: dict[int, _Source] = {}
+        self._free = list(range(_SLOTS - 1, -1, -1))
         self._nodes = np.empty((_ROOM, *_COLUMN), dtype=np.uint64)
         self._unused = list(range(_ROOM - 1, -1, -1))  # columns
         # the first node, over the number of nodes along z, of the cells at x and y of a slot; -1 if not yet computed
         self._first = np.full((_SLOTS, *SHAPE[:2]), -1)
 
     def __len__(self) -> int:
-        return len(self._sources) - len(self._free)
+        return len(self._sources)
 
     def add(self, shapes: ShapeArrays, tomatoes: int = 0, scene_from_base: npt.ArrayLike | None = None) -> int:
         """Return the slot of a new field, as `obstacle_field` computes it."""
         if not self._free:
-            self._free.append(len(self._sources))
-            self._sources.append(None)
-            if len(self._sources) > len(self._first):
-                self._first = np.concatenate([self._first, np.full_like(self._first, -1)])
+            count = len(self._first)
+            self._first = np.concatenate([self._first, np.full_like(self._first, -1)])
+            self._free += range(2 * count - 1, count - 1, -1)
         slot = self._free.pop()
         self._sources[slot] = _source(shapes, tomatoes, scene_from_base)
         return slot
 
     def remove(self, slot: int) -> None:
         """Release a slot."""
-        self._unused += np.unique(self._first[slot] // BLOCK**2)[1:].tolist()  # all but -1, which is there
-        self._first[slot], self._sources[slot] = -1, None
+        columns = np.unique(self._first[slot] // BLOCK**2)
+        self._unused += columns[columns >= 0].tolist()
+        self._first[slot] = -1
+        del self._sources[slot]
         self._free.append(slot)
 
     def _complete(self, cells: npt.NDArray[np.int64]) -> None:
@@ -146,9 +147,8 @@ class FieldStore:
                 grown[:count] = self._nodes
                 self._nodes = grown
                 self._unused += range(2 * count - 1, count - 1, -1)
-            column, source = self._unused.pop(), self._sources[slot]
-            assert source is not None
-            column_nodes(*source, _CELLS * i, _CELLS * j, self._nodes[column])
+            column = self._unused.pop()
+            column_nodes(*self._sources[slot], _CELLS * i, _CELLS * j, self._nodes[column])
             own = self._first[slot, _CELLS * i : _CELLS * (i + 1), _CELLS * j : _CELLS * (j + 1)]
             own[:] = BLOCK**2 * column + _IN_COLUMN[: len(own), : own.shape[1]]
 

@@ -180,15 +180,18 @@ def test_lookups_at_nodes_give_the_nodes_of_the_whole_field_wherever_they_are_co
         np.testing.assert_allclose(found[0], whole[tuple(some.T)], atol=1e-4)
 
 
-def test_fields_that_are_removed_leave_nothing_to_those_after_them() -> None:
-    store, everything, points = FieldStore(), np.array([NO_TOMATO]), inside_points(3, 400)[None]
+def test_fields_that_are_removed_leave_their_room_but_no_distances_to_those_after_them() -> None:
+    store, everything, points = FieldStore(), np.array([NO_TOMATO]), inside_points(3, 3000)[None]
     fresh = FieldStore()
     expected = fresh.lookup(np.array([keep(fresh, some_shapes(0))]), everything, points)[0]
+    columns = []
     for seed in (1, 2, 3, 0):
+        columns.append(len(store._nodes) - len(store._unused))
         slot = keep(store, some_shapes(seed))
         found = store.lookup(np.array([slot]), everything, points)[0]
         if seed:
             assert (found != expected).any()
             store.remove(slot)
             assert len(store) == 0
+    assert columns == [0] * 4
     np.testing.assert_array_equal(found, expected)
