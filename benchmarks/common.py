@@ -85,7 +85,8 @@ def read_entry(path: Path, name: str, settings: Mapping[str, Any]) -> dict[str, 
 def command_line() -> str:
     """Return the module that runs with its arguments, without folders and files of this machine."""
     spec, words = sys.modules["__main__"].__spec__, sys.argv[1:]
-    kept = (word for before, word in pairwise(["", *words]) if not {before, word} & {"--workdir", "--results"})
+    left_out = {"--workdir", "--results", "--python"}
+    kept = (word for before, word in pairwise(["", *words]) if not {before, word} & left_out)
     return " ".join([spec.name if spec else Path(sys.argv[0]).name, *kept])
 
 

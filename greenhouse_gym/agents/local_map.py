@@ -192,4 +192,4 @@ class LocalMap:
         cells = np.argwhere(states == UNKNOWN if self._unexplained is None else (states == UNKNOWN) | self._unexplained)
         centers = transform(self._base_from_scene, space.origin + (cells + 0.5) * space.voxel)
         states[tuple(cells[self._map.observed(centers)].T)] = FREE
-        return OccupancyGrid.from_states(states, space.origin, space.voxel)
+        return OccupancyGrid.from_states(states, space.origin, space.voxel, quick=True)

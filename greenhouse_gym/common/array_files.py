@@ -59,9 +59,10 @@ def read_array(content: bytes) -> npt.NDArray[Any]:
     return np.asarray(np.lib.format.read_array(file, allow_pickle=False))
 
 
-def compress(data: bytes) -> str:
-    """Compress bytes to text."""
-    packed = lzma.compress(data, format=lzma.FORMAT_XZ, check=lzma.CHECK_CRC32, filters=_FILTERS)
+def compress(data: bytes, quick: bool = False) -> str:
+    """Compress bytes to text; with ``quick``, in a tenth of the time to a little more text."""
+    filters = [each | {"preset": 0} for each in _FILTERS] if quick else _FILTERS
+    packed = lzma.compress(data, format=lzma.FORMAT_XZ, check=lzma.CHECK_CRC32, filters=filters)
     return base64.b64encode(packed).decode("ascii")
 
 

@@ -32,7 +32,8 @@ from greenhouse_gym.scene.plants.slots import plant
 from greenhouse_gym.scene.truth import true_scene
 
 CACHED = LARGEST_WHOLE
-"""Number of cached worlds of one kind: each takes about 4 MB with its scene, a true row up to 26 MB."""
+"""Number of cached worlds of one kind: each takes about 1 MB with its scene, a true row up to 26 MB, and its
+distance field up to 4 MB, as far as it has been looked up."""
 
 PLANTED = 16
 """Number of cached worlds with plants in their slots."""

@@ -3,14 +3,12 @@
 A field covers a box in front of the arm, in the frame of the arm's base (x forward, z up). It is sampled at nodes
 2 cm apart, stored as float16 and capped at `MAX_DISTANCE`. A node whose nearest obstacle is a tomato also stores the
 distance without that tomato, so that one field serves every target of a scene. Fields of many scenes are stacked in one
-array, so that one lookup serves many simulations.
+array, so that one lookup serves many simulations. A field is computed where it is looked up: an arm passes a fraction
+of it.
 """
 
 from __future__ import annotations
 
-import os
-from concurrent.futures import Future, ThreadPoolExecutor
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -25,7 +23,10 @@ CELL = 0.02
 """Distance between nodes, metres."""
 
 SHAPE = (48, 88, 88)
-"""Number of nodes along x, y, z: multiples of the largest block of `greenhouse_gym.motion.field_kernels`."""
+"""Number of nodes along x, y, z: multiples of `BLOCK`."""
+
+BLOCK = 8
+"""Nodes along x and y of a column of nodes, which is computed at once."""
 
 ORIGIN = (0.10, -0.87, -0.80)
 """Position of the first node in the frame of the arm's base, metres."""
@@ -61,21 +62,32 @@ def obstacle_field(
     Returns:
         Array of shape `SHAPE` of `NODE`, metres.
     """
-    from greenhouse_gym.motion.field_kernels import obstacle_nodes
+    from greenhouse_gym.motion.field_kernels import column_nodes
 
-    base = np.eye(4) if scene_from_base is None else np.array(scene_from_base, dtype=np.float64)
-    nodes = np.empty(_SIZE, dtype=np.uint64) if out is None else out
-    fruit, others = shapes.select(slice(tomatoes)), shapes.select(slice(tomatoes, None))
-    centers = transform(invert(base), fruit.starts)
-    obstacle_nodes(
-        *_parts(others, base), np.column_stack([centers, fruit.sizes[:, 0]]), fruit.kinds == ELLIPSOID,
-        fruit.starts, fruit.sizes, fruit.rotations, base, nodes,
-    )  # fmt: skip
+    source, (x, y, z) = _source(shapes, tomatoes, scene_from_base), SHAPE
+    nodes = np.empty(x * y * z, dtype=np.uint64) if out is None else out
+    whole, column = nodes.reshape(SHAPE), np.empty(_COLUMN, dtype=np.uint64)
+    for i in range(0, x, BLOCK):
+        for j in range(0, y, BLOCK):
+            column_nodes(*source, i, j, column)
+            whole[i : i + BLOCK, j : j + BLOCK] = column
     return nodes.view(NODE).reshape(SHAPE)
 
 
+# the obstacles as `column_nodes` wants them
+_Source = tuple[Float32, Float32, Array, npt.NDArray[np.bool_], Array, Array, Array, Array]
+
+
+def _source(shapes: ShapeArrays, tomatoes: int, scene_from_base: npt.ArrayLike | None) -> _Source:
+    base = np.eye(4) if scene_from_base is None else np.array(scene_from_base, dtype=np.float64)
+    fruit, others = shapes.select(slice(tomatoes)), shapes.select(slice(tomatoes, None))
+    centers = transform(invert(base), fruit.starts)
+    spheres = np.column_stack([centers, fruit.sizes[:, 0]])
+    return (*_parts(others, base), spheres, fruit.kinds == ELLIPSOID, fruit.starts, fruit.sizes, fruit.rotations, base)
+
+
 def _parts(shapes: ShapeArrays, scene_from_base: Array) -> tuple[Float32, Float32]:
-    """Return capsules (8, n) and boxes (15, m) in the base frame as `obstacle_nodes` wants them."""
+    """Return capsules (8, n) and boxes (15, m) in the base frame as `column_nodes` wants them."""
     rotation, position = scene_from_base[:3, :3], scene_from_base[:3, 3]
     starts = (shapes.starts - position) @ rotation
     axes = (shapes.ends - shapes.starts) @ rotation
@@ -88,43 +100,57 @@ def _parts(shapes: ShapeArrays, scene_from_base: Array) -> tuple[Float32, Float3
     return np.ascontiguousarray(capsules.T, dtype=np.float32), np.ascontiguousarray(boxes.T, dtype=np.float32)
 
 
-_SLOTS = 256  # at first, 3 MB each; memory is taken by those in use only
+_SLOTS, _ROOM = 64, 256  # at first; a column takes 45 kB
 
 
 class FieldStore:
-    """Fields of many scenes in one array, indexed by slot; they are computed by threads until they are looked up."""
+    """Fields of many scenes, by slot; their columns are computed when they are looked up, into one array."""
 
     def __init__(self) -> None:
-        self._pending: list[Future[npt.NDArray[np.void]]] = []
-        self._nodes = np.empty((_SLOTS, _SIZE), dtype=np.uint64)
+        self._sources: dict[int, _Source] = {}
         self._free = list(range(_SLOTS - 1, -1, -1))
+        self._nodes = np.empty((_ROOM, *_COLUMN), dtype=np.uint64)
+        self._unused = list(range(_ROOM - 1, -1, -1))  # columns
+        # the first node, over the number of nodes along z, of the cells at x and y of a slot; -1 if not yet computed
+        self._first = np.full((_SLOTS, *SHAPE[:2]), -1)
 
     def __len__(self) -> int:
-        return len(self._nodes) - len(self._free)
+        return len(self._sources)
 
     def add(self, shapes: ShapeArrays, tomatoes: int = 0, scene_from_base: npt.ArrayLike | None = None) -> int:
-        """Compute a field as `obstacle_field` does and return its slot."""
+        """Return the slot of a new field, as `obstacle_field` computes it."""
         if not self._free:
-            self._finish()
-            count = len(self._nodes)
-            grown = np.empty((2 * count, _SIZE), dtype=np.uint64)
-            grown[:count] = self._nodes
-            self._nodes = grown
-            self._free = list(range(2 * count - 1, count - 1, -1))
+            count = len(self._first)
+            self._first = np.concatenate([self._first, np.full_like(self._first, -1)])
+            self._free += range(2 * count - 1, count - 1, -1)
         slot = self._free.pop()
-        threads = _threads(os.getpid())
-        self._pending.append(threads.submit(obstacle_field, shapes, tomatoes, scene_from_base, self._nodes[slot]))
+        self._sources[slot] = _source(shapes, tomatoes, scene_from_base)
         return slot
-
-    def _finish(self) -> None:
-        """Wait for the fields that are being computed."""
-        while self._pending:
-            self._pending.pop().result()
 
     def remove(self, slot: int) -> None:
         """Release a slot."""
-        self._finish()
+        columns = np.unique(self._first[slot] // BLOCK**2)
+        self._unused += columns[columns >= 0].tolist()
+        self._first[slot] = -1
+        del self._sources[slot]
         self._free.append(slot)
+
+    def _complete(self, cells: npt.NDArray[np.int64]) -> None:
+        """Compute the columns of cells (k,), given by their indices in `_first`."""
+        from greenhouse_gym.motion.field_kernels import column_nodes
+
+        slots, x, y = np.unravel_index(cells, self._first.shape)
+        for slot, i, j in sorted(set(zip(slots.tolist(), (x // _CELLS).tolist(), (y // _CELLS).tolist(), strict=True))):
+            if not self._unused:
+                count = len(self._nodes)
+                grown = np.empty((2 * count, *_COLUMN), dtype=np.uint64)
+                grown[:count] = self._nodes
+                self._nodes = grown
+                self._unused += range(2 * count - 1, count - 1, -1)
+            column = self._unused.pop()
+            column_nodes(*self._sources[slot], _CELLS * i, _CELLS * j, self._nodes[column])
+            own = self._first[slot, _CELLS * i : _CELLS * (i + 1), _CELLS * j : _CELLS * (j + 1)]
+            own[:] = BLOCK**2 * column + _IN_COLUMN[: len(own), : own.shape[1]]
 
     def lookup(
         self, slots: npt.NDArray[np.int64], ignored: npt.NDArray[np.int64], points: npt.NDArray[np.float64]
@@ -143,15 +169,18 @@ class FieldStore:
             Distances (n, k), metres, at most `MAX_DISTANCE`; unit directions (n, k, 3) towards the obstacle, zero
             where the distance is capped.
         """
-        self._finish()
         n, k, _ = points.shape
         # One row per axis from here on, and few array operations: their number sets the time of a single simulation.
         position = np.array(((points.reshape(-1, 3) - _ORIGIN) / CELL).T, dtype=np.float32, order="C")
         inside = np.minimum(np.maximum(position, _ZERO), _LAST)
         node = inside.astype(np.int64)
         x, y, z = inside - node.astype(np.float32)
-        flat = _STRIDES @ node
-        flat += (slots * _SIZE).repeat(k)
+        cells = node[0] * SHAPE[1] + node[1] + (slots * _CELLS_OF_SLOT).repeat(k)
+        first = self._first.reshape(-1).take(cells)
+        if np.minimum.reduce(first, initial=0) < 0:
+            self._complete(cells[first < 0])
+            first = self._first.reshape(-1).take(cells)
+        flat = first * SHAPE[2] + node[2]
         corners = self._nodes.reshape(-1).take(flat + _CORNERS).view(NODE)  # (2, 2, 2, n * k): z, y, x
         is_ignored = corners["tomato"] == ignored.repeat(k)
         c = np.where(is_ignored, corners["otherwise"], corners["distance"]).astype(np.float32)
@@ -202,18 +231,14 @@ class FieldsOfSimulations(NamedTuple):
         return self.store.lookup(self.slots, self.ignored, points - self.along)
 
 
-@lru_cache(maxsize=1)
-def _threads(process: int) -> ThreadPoolExecutor:
-    """Return the threads of a process; a forked one needs its own."""
-    return ThreadPoolExecutor(os.cpu_count())
-
-
 _ORIGIN = np.array(ORIGIN)
 # Just below the last node, so that every cell has an upper corner.
 _LAST = np.nextafter(np.array(SHAPE, dtype=np.float32) - 1, np.float32(0.0))[:, None]
-_STRIDES = np.array([SHAPE[1] * SHAPE[2], SHAPE[2], 1])
-_SIZE = SHAPE[0] * SHAPE[1] * SHAPE[2]
-_CORNERS = np.add.outer(np.add.outer([0, _STRIDES[2]], [0, _STRIDES[1]]), [0, _STRIDES[0]])[..., None]
+_COLUMN = BLOCK, BLOCK, SHAPE[2]
+_CELLS = BLOCK - 1  # along x and y in a column; neighboring columns share nodes
+_IN_COLUMN = np.add.outer(BLOCK * np.arange(_CELLS), np.arange(_CELLS))
+_CELLS_OF_SLOT = SHAPE[0] * SHAPE[1]
+_CORNERS = np.add.outer(np.add.outer([0, 1], [0, SHAPE[2]]), [0, BLOCK * SHAPE[2]])[..., None]
 _ZERO, _TINY, _CELL, _MAX, _NEARLY_MAX = np.array([0.0, 1e-6, CELL, MAX_DISTANCE, MAX_DISTANCE - 1e-3], np.float32)
 
 

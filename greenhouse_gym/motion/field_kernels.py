@@ -10,20 +10,20 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.common.jit import allocating, inlined, kernel
-from greenhouse_gym.motion.distance_field import CELL, MAX_DEPTH, MAX_DISTANCE, ORIGIN, SHAPE
+from greenhouse_gym.motion.distance_field import BLOCK, CELL, MAX_DEPTH, MAX_DISTANCE, ORIGIN, SHAPE
 
 Float32 = npt.NDArray[np.float32]
 Array = npt.NDArray[np.float64]
 
-_X, _Y, _Z = SHAPE
+_, _Y, _Z = SHAPE
 _ORIGIN_X, _ORIGIN_Y, _ORIGIN_Z = ORIGIN
-_BLOCK, _PART = 8, 4  # nodes per side
+_PART = 4  # nodes per side
 _NODES = _PART**3
 _ZERO, _ONE, _HALF = np.float32(0), np.float32(1), np.float32(0.5)
 _FAR, _DEEP, _NONE = np.float32(MAX_DISTANCE), np.float32(-MAX_DEPTH), np.float32(1e30)
 _BEYOND = np.float32(MAX_DISTANCE + 1e-3)  # farther than what is stored, also after rounding
 _SLACK = 1e-5  # metres, more than single precision rounds off
-_BLOCK_RADIUS = np.float32((_BLOCK - 1) / 2 * CELL * np.sqrt(3.0) + _SLACK)
+_BLOCK_RADIUS = np.float32((BLOCK - 1) / 2 * CELL * np.sqrt(3.0) + _SLACK)
 _PART_RADIUS = np.float32((_PART - 1) / 2 * CELL * np.sqrt(3.0) + _SLACK)
 _NEWTON_STEPS = 9
 # float16 as the bits of a float32: its smallest normal number, the difference of the exponents' biases, the bits lost
@@ -99,31 +99,36 @@ def _lower(best, xs, ys, zs, capsules, boxes, i):
 
 
 @inlined
-def _to_ellipsoid(px, py, pz, center, axes, turn):
-    """Return the signed distance of a point to an ellipsoid; see `greenhouse_gym.geometry.distance_to_ellipsoids`."""
-    dx, dy, dz = px - center[0], py - center[1], pz - center[2]
-    l0 = abs(turn[0, 0] * dx + turn[1, 0] * dy + turn[2, 0] * dz)
-    l1 = abs(turn[0, 1] * dx + turn[1, 1] * dy + turn[2, 1] * dz)
-    l2 = abs(turn[0, 2] * dx + turn[1, 2] * dy + turn[2, 2] * dz)
+def _to_ellipsoid(memory, count, axes):
+    """Compute the signed distances of points to an ellipsoid; see `greenhouse_gym.geometry.distance_to_ellipsoids`.
+
+    The first rows of ``memory`` (5, n) are the points' coordinates in its frame, without signs; the last is the result.
+    """
+    sizes, parameters, distances = memory[:3], memory[3], memory[4]
     e0, e1, e2 = axes[0], axes[1], axes[2]
     s0, s1, s2 = e0 * e0, e1 * e1, e2 * e2
     tiny = 1e-7 * min(e0, min(e1, e2))
-    y0, y1, y2 = max(l0, tiny), max(l1, tiny), max(l2, tiny)
-    t = max(e0 * y0 - s0, max(e1 * y1 - s1, e2 * y2 - s2))
-    for _ in range(_NEWTON_STEPS):
-        a0, a1, a2 = t + s0, t + s1, t + s2
-        r0, r1, r2 = e0 * y0 / a0, e1 * y1 / a1, e2 * y2 / a2
-        q0, q1, q2 = r0 * r0, r1 * r1, r2 * r2
-        t = t - (q0 + (q1 + q2) - 1.0) / (-2.0 * (q0 / a0 + (q1 / a1 + q2 / a2)))
-    n0, n1, n2 = y0 - s0 * y0 / (t + s0), y1 - s1 * y1 / (t + s1), y2 - s2 * y2 / (t + s2)
-    distance = np.sqrt(n0 * n0 + (n1 * n1 + n2 * n2))
-    f0, f1, f2 = l0 / e0, l1 / e1, l2 / e2
-    return -distance if f0 * f0 + (f1 * f1 + f2 * f2) < 1.0 else distance
+    for i in range(count):
+        y0, y1, y2 = max(sizes[0, i], tiny), max(sizes[1, i], tiny), max(sizes[2, i], tiny)
+        parameters[i] = max(e0 * y0 - s0, max(e1 * y1 - s1, e2 * y2 - s2))
+    for _ in range(_NEWTON_STEPS):  # of all points, for vector instructions
+        for i in range(count):
+            t, y0, y1, y2 = parameters[i], max(sizes[0, i], tiny), max(sizes[1, i], tiny), max(sizes[2, i], tiny)
+            a0, a1, a2 = t + s0, t + s1, t + s2
+            r0, r1, r2 = e0 * y0 / a0, e1 * y1 / a1, e2 * y2 / a2
+            q0, q1, q2 = r0 * r0, r1 * r1, r2 * r2
+            parameters[i] = t - (q0 + (q1 + q2) - 1.0) / (-2.0 * (q0 / a0 + (q1 / a1 + q2 / a2)))
+    for i in range(count):
+        t, y0, y1, y2 = parameters[i], max(sizes[0, i], tiny), max(sizes[1, i], tiny), max(sizes[2, i], tiny)
+        n0, n1, n2 = y0 - s0 * y0 / (t + s0), y1 - s1 * y1 / (t + s1), y2 - s2 * y2 / (t + s2)
+        distance = np.sqrt(n0 * n0 + (n1 * n1 + n2 * n2))
+        f0, f1, f2 = sizes[0, i] / e0, sizes[1, i] / e1, sizes[2, i] / e2
+        distances[i] = -distance if f0 * f0 + (f1 * f1 + f2 * f2) < 1.0 else distance
 
 
 @allocating
-def _to_others(capsules, boxes, nearest):
-    """Compute the signed distances from all nodes to the union of capsules and boxes, at most the largest stored one.
+def _to_others(block_x, block_y, capsules, boxes, nearest):
+    """Compute the signed distances from a column of nodes to capsules and boxes, at most the largest stored one.
 
     Blocks of nodes are halved; a shape stays with a block only while it may be the nearest one somewhere in it.
     """
@@ -135,54 +140,53 @@ def _to_others(capsules, boxes, nearest):
         np.empty(_NODES, np.float32),
     )  # fmt: skip
     nearest[:] = _as_half(_FAR)
-    for block_x in range(0, _X, _BLOCK):
-        for block_y in range(0, _Y, _BLOCK):
-            for block_z in range(0, _Z, _BLOCK):
-                half = (_BLOCK - 1) / 2
-                x = np.float32((block_x + half) * CELL + _ORIGIN_X)
-                y = np.float32((block_y + half) * CELL + _ORIGIN_Y)
-                z = np.float32((block_z + half) * CELL + _ORIGIN_Z)
-                for i in range(n):
-                    distances[i] = _to_capsule(x, y, z, _capsule(capsules, i))
-                for i in range(m):
-                    distances[n + i] = _to_box(x, y, z, _box(boxes, i))
-                count = _keep(distances, n + m, _BLOCK_RADIUS, everything, in_block)
-                for part in range(8 if count else 0):
-                    part_x = block_x + _PART * (part >> 2)
-                    part_y = block_y + _PART * ((part >> 1) & 1)
-                    part_z = block_z + _PART * (part & 1)
-                    half = (_PART - 1) / 2
-                    x = np.float32((part_x + half) * CELL + _ORIGIN_X)
-                    y = np.float32((part_y + half) * CELL + _ORIGIN_Y)
-                    z = np.float32((part_z + half) * CELL + _ORIGIN_Z)
-                    k = 0
-                    while k < count and in_block[k] < n:
-                        distances[k] = _to_capsule(x, y, z, _capsule(capsules, in_block[k]))
-                        k += 1
-                    while k < count:
-                        distances[k] = _to_box(x, y, z, _box(boxes, in_block[k] - n))
-                        k += 1
-                    left = _keep(distances, count, _PART_RADIUS, in_block, in_part)
-                    if left == 0:
-                        continue
-                    for k in range(_NODES):
-                        xs[k] = np.float32((part_x + (k >> 4)) * CELL + _ORIGIN_X)
-                        ys[k] = np.float32((part_y + ((k >> 2) & 3)) * CELL + _ORIGIN_Y)
-                        zs[k] = np.float32((part_z + (k & 3)) * CELL + _ORIGIN_Z)
-                        best[k] = _FAR
-                    first = 0
-                    for j in range(1, left):
-                        first = j if distances[j] < distances[first] else first
-                    _lower(best, xs, ys, zs, capsules, boxes, in_part[first])
-                    largest = best[0]
-                    for k in range(1, _NODES):
-                        largest = best[k] if best[k] > largest else largest
-                    for j in range(left):
-                        if j != first and distances[j] - _PART_RADIUS < largest:
-                            _lower(best, xs, ys, zs, capsules, boxes, in_part[j])
-                    for k in range(_NODES):
-                        d = best[k] if best[k] > _DEEP else _DEEP
-                        nearest[part_x + (k >> 4), part_y + ((k >> 2) & 3), part_z + (k & 3)] = _as_half(d)
+    for block_z in range(0, _Z, BLOCK):
+        half = (BLOCK - 1) / 2
+        x = np.float32((block_x + half) * CELL + _ORIGIN_X)
+        y = np.float32((block_y + half) * CELL + _ORIGIN_Y)
+        z = np.float32((block_z + half) * CELL + _ORIGIN_Z)
+        for i in range(n):
+            distances[i] = _to_capsule(x, y, z, _capsule(capsules, i))
+        for i in range(m):
+            distances[n + i] = _to_box(x, y, z, _box(boxes, i))
+        count = _keep(distances, n + m, _BLOCK_RADIUS, everything, in_block)
+        for part in range(8 if count else 0):
+            part_x = block_x + _PART * (part >> 2)
+            part_y = block_y + _PART * ((part >> 1) & 1)
+            part_z = block_z + _PART * (part & 1)
+            half = (_PART - 1) / 2
+            x = np.float32((part_x + half) * CELL + _ORIGIN_X)
+            y = np.float32((part_y + half) * CELL + _ORIGIN_Y)
+            z = np.float32((part_z + half) * CELL + _ORIGIN_Z)
+            k = 0
+            while k < count and in_block[k] < n:
+                distances[k] = _to_capsule(x, y, z, _capsule(capsules, in_block[k]))
+                k += 1
+            while k < count:
+                distances[k] = _to_box(x, y, z, _box(boxes, in_block[k] - n))
+                k += 1
+            left = _keep(distances, count, _PART_RADIUS, in_block, in_part)
+            if left == 0:
+                continue
+            for k in range(_NODES):
+                xs[k] = np.float32((part_x + (k >> 4)) * CELL + _ORIGIN_X)
+                ys[k] = np.float32((part_y + ((k >> 2) & 3)) * CELL + _ORIGIN_Y)
+                zs[k] = np.float32((part_z + (k & 3)) * CELL + _ORIGIN_Z)
+                best[k] = _FAR
+            first = 0
+            for j in range(1, left):
+                first = j if distances[j] < distances[first] else first
+            _lower(best, xs, ys, zs, capsules, boxes, in_part[first])
+            largest = best[0]
+            for k in range(1, _NODES):
+                largest = best[k] if best[k] > largest else largest
+            for j in range(left):
+                if j != first and distances[j] - _PART_RADIUS < largest:
+                    _lower(best, xs, ys, zs, capsules, boxes, in_part[j])
+            for k in range(_NODES):
+                d = best[k] if best[k] > _DEEP else _DEEP
+                a, b, c = part_x - block_x + (k >> 4), part_y - block_y + ((k >> 2) & 3), part_z + (k & 3)
+                nearest[a, b, c] = _as_half(d)
 
 
 @inlined
@@ -208,17 +212,73 @@ def _as_half(value):
 
 
 @inlined
-def _range(center, reach, origin, count):
-    """Return the first and the last plus one of the nodes along an axis within reach of a center."""
+def _range(center, reach, origin, first, count):
+    """Return the first and the last plus one of some nodes along an axis within reach of a center."""
     low, high = np.ceil((center - reach - origin) / CELL), np.floor((center + reach - origin) / CELL) + 1
-    return int(max(low, 0.0)), int(min(high, float(count)))
+    return max(int(max(low, 0.0)), first), min(int(max(high, 0.0)), first + count)
+
+
+@inlined
+def _to_tomato(
+    block_x, block_y, k, tomato, stretched, center, semi_axes, rotation, base, first, second, index, memory, own, chosen
+):
+    """Lower the distances of a column of nodes to those from tomato k where it is nearer."""
+    center_x, center_y, center_z, radius = tomato
+    size = max(semi_axes[0], max(semi_axes[1], semi_axes[2])) if stretched else radius
+    reach, number = size + MAX_DISTANCE, np.int16(k)
+    low_x, high_x = _range(center_x, reach, _ORIGIN_X, block_x, BLOCK)
+    low_y, high_y = _range(center_y, reach, _ORIGIN_Y, block_y, BLOCK)
+    if low_x >= high_x or low_y >= high_y:
+        return
+    low_z, high_z = _range(center_z, reach, _ORIGIN_Z, 0, _Z)
+    bound = np.float32(size + _SLACK) if stretched else np.float32(radius)
+    squares, d = own[0], own[1]
+    for z in range(_Z):
+        dz = np.float32(z * CELL + _ORIGIN_Z - center_z)
+        squares[z] = dz * dz if low_z <= z < high_z else _NONE
+    for x in range(low_x, high_x):
+        px = x * CELL + _ORIGIN_X
+        dx = np.float32(px - center_x)
+        for y in range(low_y, high_y):
+            py = y * CELL + _ORIGIN_Y
+            dy = np.float32(py - center_y)
+            flat = dx * dx + dy * dy
+            if np.sqrt(flat) - bound > _BEYOND:
+                continue
+            i, j = x - block_x, y - block_y
+            f, s, tomatoes = first[i, j], second[i, j], index[i, j]
+            for z in range(_Z):
+                d[z] = np.sqrt(flat + squares[z]) - bound
+            if stretched:  # exact only where it may be nearer than the second nearest
+                count = 0
+                for z in range(low_z, high_z):
+                    if d[z] < s[z]:
+                        pz = z * CELL + _ORIGIN_Z
+                        ex = base[0, 0] * px + base[0, 1] * py + base[0, 2] * pz + base[0, 3] - center[0]
+                        ey = base[1, 0] * px + base[1, 1] * py + base[1, 2] * pz + base[1, 3] - center[1]
+                        ez = base[2, 0] * px + base[2, 1] * py + base[2, 2] * pz + base[2, 3] - center[2]
+                        for i in range(3):
+                            memory[i, count] = abs(rotation[0, i] * ex + rotation[1, i] * ey + rotation[2, i] * ez)
+                        chosen[count] = z
+                        count += 1
+                _to_ellipsoid(memory, count, semi_axes)
+                for i in range(count):
+                    d[chosen[i]] = np.float32(memory[4, i])
+            for z in range(_Z):  # without branches, for vector instructions
+                distance, nearest, next_nearest, known = d[z], f[z], s[z], tomatoes[z]
+                closer = distance < nearest
+                other = distance if distance < next_nearest else next_nearest
+                s[z] = nearest if closer else other
+                f[z] = distance if closer else nearest
+                tomatoes[z] = number if closer else known
 
 
 @kernel(
-    "void(f4[:, ::1], f4[:, ::1], f8[:, ::1], b1[::1], f8[:, ::1], f8[:, ::1], f8[:, :, ::1], f8[:, ::1], u8[::1])",
+    "void(f4[:, ::1], f4[:, ::1], f8[:, ::1], b1[::1], f8[:, ::1], f8[:, ::1], f8[:, :, ::1], f8[:, ::1], i8, i8, "
+    "u8[:, :, ::1])",
     writes=("nodes",),
 )
-def obstacle_nodes(
+def column_nodes(
     capsules: Float32,
     boxes: Float32,
     tomatoes: Array,
@@ -227,9 +287,11 @@ def obstacle_nodes(
     semi_axes: Array,
     rotations: Array,
     scene_from_base: Array,
+    block_x: int,
+    block_y: int,
     nodes: npt.NDArray[np.uint64],
 ) -> None:
-    """Compute the nodes of a scene's field.
+    """Compute a column of nodes of a scene's field, `BLOCK` nodes wide along x and y.
 
     Args:
         capsules: (8, n) start, axis, inverse of its squared length or 0, and radius of capsules, base frame.
@@ -240,64 +302,27 @@ def obstacle_nodes(
         semi_axes: (t, 3)
         rotations: and (t, 3, 3) of those.
         scene_from_base: (4, 4) pose of the base.
-        nodes: (nodes,) the result: `NODE` as whole numbers.
+        block_x: Its first node along x,
+        block_y: and along y.
+        nodes: (`BLOCK`, `BLOCK`, z) the result: `NODE` as whole numbers.
     """
-    first, second, tomato = np.empty(SHAPE, np.float32), np.empty(SHAPE, np.float32), np.empty(SHAPE, np.int16)
-    _to_others(capsules, boxes, first)
-    for x in range(_X):
-        for y in range(_Y):
+    shape = BLOCK, BLOCK, _Z
+    first, second, tomato = np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty(shape, np.int16)
+    memory, own, chosen = np.empty((5, _Z)), np.empty((2, _Z), np.float32), np.empty(_Z, np.int64)
+    _to_others(block_x, block_y, capsules, boxes, first)
+    for x in range(BLOCK):
+        for y in range(BLOCK):
             for z in range(_Z):
                 second[x, y, z], tomato[x, y, z] = first[x, y, z], -1
-    squares, own = np.empty(_Z, np.float32), np.empty(_Z, np.float32)
-    base = scene_from_base
     for k in range(len(tomatoes)):
-        center_x, center_y, center_z, radius = tomatoes[k, 0], tomatoes[k, 1], tomatoes[k, 2], tomatoes[k, 3]
-        size = max(semi_axes[k, 0], max(semi_axes[k, 1], semi_axes[k, 2])) if stretched[k] else radius
-        reach, number = size + MAX_DISTANCE, np.int16(k)
-        low_x, high_x = _range(center_x, reach, _ORIGIN_X, _X)
-        low_y, high_y = _range(center_y, reach, _ORIGIN_Y, _Y)
-        low_z, high_z = _range(center_z, reach, _ORIGIN_Z, _Z)
-        bound = np.float32(size + _SLACK) if stretched[k] else np.float32(radius)
-        for z in range(_Z):
-            dz = np.float32(z * CELL + _ORIGIN_Z - center_z)
-            squares[z] = dz * dz if low_z <= z < high_z else _NONE
-        for x in range(low_x, high_x):
-            px = x * CELL + _ORIGIN_X
-            dx = np.float32(px - center_x)
-            for y in range(low_y, high_y):
-                py = y * CELL + _ORIGIN_Y
-                dy = np.float32(py - center_y)
-                flat = dx * dx + dy * dy
-                if np.sqrt(flat) - bound > _BEYOND:
-                    continue
-                f, s, index = first[x, y], second[x, y], tomato[x, y]
-                for z in range(_Z):
-                    own[z] = np.sqrt(flat + squares[z]) - bound
-                if stretched[k]:  # exact only where it may be nearer than the second nearest
-                    for z in range(low_z, high_z):
-                        if own[z] < s[z]:
-                            pz = z * CELL + _ORIGIN_Z
-                            own[z] = np.float32(
-                                _to_ellipsoid(
-                                    base[0, 0] * px + base[0, 1] * py + base[0, 2] * pz + base[0, 3],
-                                    base[1, 0] * px + base[1, 1] * py + base[1, 2] * pz + base[1, 3],
-                                    base[2, 0] * px + base[2, 1] * py + base[2, 2] * pz + base[2, 3],
-                                    centers[k], semi_axes[k], rotations[k],
-                                )
-                            )  # fmt: skip
-                for z in range(_Z):  # without branches, for vector instructions
-                    d, nearest, next_nearest, known = own[z], f[z], s[z], index[z]
-                    closer = d < nearest
-                    other = d if d < next_nearest else next_nearest
-                    s[z] = nearest if closer else other
-                    f[z] = d if closer else nearest
-                    index[z] = number if closer else known
-    i = 0
-    for x in range(_X):
-        for y in range(_Y):
+        _to_tomato(
+            block_x, block_y, k, tomatoes[k], stretched[k], centers[k], semi_axes[k], rotations[k], scene_from_base,
+            first, second, tomato, memory, own, chosen,
+        )  # fmt: skip
+    for x in range(BLOCK):
+        for y in range(BLOCK):
             for z in range(_Z):
                 d = first[x, y, z] if first[x, y, z] > _DEEP else _DEEP
                 other = second[x, y, z] if second[x, y, z] > _DEEP else _DEEP
                 both = np.uint64(_half_bits(d) | (_half_bits(other) << np.uint32(16)))
-                nodes[i] = both | (np.uint64(tomato[x, y, z] & 0xFFFF) << np.uint64(32))
-                i += 1
+                nodes[x, y, z] = both | (np.uint64(tomato[x, y, z] & 0xFFFF) << np.uint64(32))

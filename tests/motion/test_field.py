@@ -166,3 +166,32 @@ def test_many_scenes_at_once_give_what_each_gives_alone() -> None:
         np.testing.assert_array_equal(alone[0][0], distance[i])
         np.testing.assert_array_equal(alone[1][0], direction[i])
     assert len(np.unique(distance[:, 0])) > 3
+
+
+def test_lookups_at_nodes_give_the_nodes_of_the_whole_field_wherever_they_are_computed_first() -> None:
+    scene_from_base = pose(rotation_about([0, 0, 1], 0.4), [0.1, -0.05, 0.9])
+    shapes = arrays_of(some_shapes(4))
+    whole = np.minimum(obstacle_field(shapes, 0, scene_from_base)["distance"], MAX_DISTANCE)
+    store, everything = FieldStore(), np.array([NO_TOMATO])
+    slot = np.array([store.add(shapes, 0, scene_from_base)])
+    nodes = np.random.default_rng(0).integers(0, np.array(SHAPE) - 1, (3000, 3))
+    for some in (nodes[:1], nodes[1:40], nodes):  # few columns at first
+        found, _ = store.lookup(slot, everything, (some * CELL + ORIGIN)[None])
+        np.testing.assert_allclose(found[0], whole[tuple(some.T)], atol=1e-4)
+
+
+def test_fields_that_are_removed_leave_their_room_but_no_distances_to_those_after_them() -> None:
+    store, everything, points = FieldStore(), np.array([NO_TOMATO]), inside_points(3, 3000)[None]
+    fresh = FieldStore()
+    expected = fresh.lookup(np.array([keep(fresh, some_shapes(0))]), everything, points)[0]
+    columns = []
+    for seed in (1, 2, 3, 0):
+        columns.append(len(store._nodes) - len(store._unused))
+        slot = keep(store, some_shapes(seed))
+        found = store.lookup(np.array([slot]), everything, points)[0]
+        if seed:
+            assert (found != expected).any()
+            store.remove(slot)
+            assert len(store) == 0
+    assert columns == [0] * 4
+    np.testing.assert_array_equal(found, expected)
