@@ -9,6 +9,7 @@ of it.
 
 from __future__ import annotations
 
+from threading import RLock
 from typing import NamedTuple
 
 import numpy as np
@@ -104,9 +105,13 @@ _SLOTS, _ROOM = 64, 256  # at first; a column takes 45 kB
 
 
 class FieldStore:
-    """Fields of many scenes, by slot; their columns are computed when they are looked up, into one array."""
+    """Fields of many scenes, by slot; their columns are computed when they are looked up, into one array.
+
+    Environments of several threads may share it.
+    """
 
     def __init__(self) -> None:
+        self._lock = RLock()  # held again where a world is freed while columns are computed
         self._sources: dict[int, _Source] = {}
         self._free = list(range(_SLOTS - 1, -1, -1))
         self._nodes = np.empty((_ROOM, *_COLUMN), dtype=np.uint64)
@@ -119,27 +124,31 @@ class FieldStore:
 
     def add(self, shapes: ShapeArrays, tomatoes: int = 0, scene_from_base: npt.ArrayLike | None = None) -> int:
         """Return the slot of a new field, as `obstacle_field` computes it."""
-        if not self._free:
-            count = len(self._first)
-            self._first = np.concatenate([self._first, np.full_like(self._first, -1)])
-            self._free += range(2 * count - 1, count - 1, -1)
-        slot = self._free.pop()
-        self._sources[slot] = _source(shapes, tomatoes, scene_from_base)
+        source = _source(shapes, tomatoes, scene_from_base)
+        with self._lock:
+            if not self._free:
+                count = len(self._first)
+                self._first = np.concatenate([self._first, np.full_like(self._first, -1)])
+                self._free += range(2 * count - 1, count - 1, -1)
+            slot = self._free.pop()
+            self._sources[slot] = source
         return slot
 
     def remove(self, slot: int) -> None:
         """Release a slot."""
-        columns = np.unique(self._first[slot] // BLOCK**2)
-        self._unused += columns[columns >= 0].tolist()
-        self._first[slot] = -1
-        del self._sources[slot]
-        self._free.append(slot)
+        with self._lock:
+            columns = np.unique(self._first[slot] // BLOCK**2)
+            self._unused += columns[columns >= 0].tolist()
+            self._first[slot] = -1
+            del self._sources[slot]
+            self._free.append(slot)
 
     def _complete(self, cells: npt.NDArray[np.int64]) -> None:
-        """Compute the columns of cells (k,), given by their indices in `_first`."""
+        """Compute the missing columns of cells (k,), given by their indices in `_first`."""
         from greenhouse_gym.motion.field_kernels import column_nodes
 
-        slots, x, y = np.unravel_index(cells, self._first.shape)
+        missing = cells[self._first.reshape(-1)[cells] < 0]
+        slots, x, y = np.unravel_index(missing, self._first.shape)
         for slot, i, j in sorted(set(zip(slots.tolist(), (x // _CELLS).tolist(), (y // _CELLS).tolist(), strict=True))):
             if not self._unused:
                 count = len(self._nodes)
@@ -178,7 +187,8 @@ class FieldStore:
         cells = node[0] * SHAPE[1] + node[1] + (slots * _CELLS_OF_SLOT).repeat(k)
         first = self._first.reshape(-1).take(cells)
         if np.minimum.reduce(first, initial=0) < 0:
-            self._complete(cells[first < 0])
+            with self._lock:
+                self._complete(cells)
             first = self._first.reshape(-1).take(cells)
         flat = first * SHAPE[2] + node[2]
         corners = self._nodes.reshape(-1).take(flat + _CORNERS).view(NODE)  # (2, 2, 2, n * k): z, y, x

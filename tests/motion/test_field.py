@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 
@@ -195,3 +197,20 @@ def test_fields_that_are_removed_leave_their_room_but_no_distances_to_those_afte
             assert len(store) == 0
     assert columns == [0] * 4
     np.testing.assert_array_equal(found, expected)
+
+
+def test_threads_share_a_store() -> None:
+    everything, kinds = np.array([NO_TOMATO]), range(6)
+    points = [inside_points(seed, 400)[None] for seed in kinds]
+    alone = FieldStore()
+    expected = [alone.lookup(np.array([keep(alone, some_shapes(k))]), everything, points[k])[0] for k in kinds]
+    shared = FieldStore()
+    slots = [np.array([keep(shared, some_shapes(k))]) for k in kinds]
+
+    def found(k: int) -> np.ndarray:
+        parts = np.array_split(points[k], 100, axis=1)  # columns are computed by turns
+        return np.concatenate([shared.lookup(slots[k], everything, part)[0] for part in parts], axis=1)
+
+    with ThreadPoolExecutor(len(kinds)) as threads:
+        for own, result in zip(expected, threads.map(found, kinds), strict=True):
+            np.testing.assert_array_equal(result, own)
