@@ -33,6 +33,7 @@ one point every 12 mm, so it reaches on past them."""
 _SHAPE, _SKIN = 0.001, 0.008  # metres: points so near to a shape of the scan, or to the target, belong to it
 _AT_ARM = 0.01  # metres: points so near to the arm are no obstacle to a path that starts there
 _EXAMINED = 0.8  # fraction of a box that the camera has to observe before its points replace the box
+_MAX_BOXES = 20_000  # over observed points; voxels are larger where they would take more
 _SPACING = 0.03  # metres between samples of unobserved space
 _AISLE = 0.5  # metres behind the base's axis: the depth of the aisle in which the arm stands, where no plants hang
 _AROUND_TARGET = 0.2  # metres: radius of the unobserved space around the target
@@ -97,14 +98,19 @@ class LocalMap:
 
         Args:
             command: (j,) configuration of the arm; points at the arm are left out.
-            voxel: Side of the voxels that cover the points, metres: small ones cover less free space.
+            voxel: Side of the voxels that cover the points, metres: small ones cover less free space. It is doubled
+                while they are too many for a scene.
             boxes: Whether all boxes of the scan are kept. If not, boxes that the camera has examined are replaced by
                 the points it has observed at them.
         """
         scene, points = self._scene, self._unexplained_points(boxes)
         self._planned_with = len(self.points), len(self.points_at_boxes)
         points = points[self._distances(points, self._arm.centers(command[None])[0]) > _AT_ARM]
-        covered = boxes_around_points(transform(self._scene_from_base, points), voxel)
+        points = transform(self._scene_from_base, points)
+        covered = boxes_around_points(points, voxel)
+        while len(covered.kinds) > _MAX_BOXES:
+            voxel *= 2
+            covered = boxes_around_points(points, voxel)
         if not boxes:
             clutter = range(sum(scene.counts[:2]), scene.count)
             kept = np.array([not self._examined(k) for k in clutter], dtype=np.bool_)
