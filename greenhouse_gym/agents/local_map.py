@@ -35,7 +35,7 @@ _AT_ARM = 0.01  # metres: points so near to the arm are no obstacle to a path th
 _EXAMINED = 0.8  # fraction of a box that the camera has to observe before its points replace the box
 _MAX_BOXES = 20_000  # over observed points; voxels are larger where they would take more
 _SPACING = 0.03  # metres between samples of unobserved space
-_AISLE = 0.5  # metres behind the base's axis: the depth of the aisle in which the arm stands, where no plants hang
+_AISLE = (-0.5, -0.1)  # metres ahead of the base's axis: range of the aisle in which the arm stands
 _AROUND_TARGET = 0.2  # metres: radius of the unobserved space around the target
 _ARM_GAP, _TARGET_GAP = 0.02, 0.02  # metres: unobserved space so near to the arm or the target is left out
 
@@ -197,10 +197,10 @@ class LocalMap:
 
 
 def _with_free_aisle(scene: Scene, base_from_scene: Array) -> Scene:
-    """Return a scene in which unknown space of the aisle, where scans often see nothing, is free."""
+    """Return a scene in which unknown space of the aisle is free: scans may not show it, but no plants hang there."""
     space = scene.occupancy
     if space is None:
         return scene
     ahead = transform(base_from_scene, space.centers.reshape(-1, 3))[:, 0].reshape(space.shape)
-    states = np.where((space.states == UNKNOWN) & (ahead < 0) & (ahead > -_AISLE), FREE, space.states)
+    states = np.where((space.states == UNKNOWN) & (ahead > _AISLE[0]) & (ahead < _AISLE[1]), FREE, space.states)
     return scene.model_copy(update={"occupancy": OccupancyGrid.from_states(states, space.origin, space.voxel)})

@@ -63,7 +63,6 @@ images, pixels. Their rays are 7 mm apart at half a metre: thinner parts may han
 
 _NO_CAUTION = (CautionLevel(0.0, np.inf, unexplained=True), CautionLevel(0.0, np.inf))
 _EVERY = 2  # steps between images
-_SUBSET = 4  # one point in so many around the target stands for the others in the choice of the first view
 _MAX_VIEWPOINTS = 60  # whose motions are checked
 _MIN_UNOBSERVED = 6  # points on a path that are worth a look
 _SAME = 0.05  # metres: points so near to those of an earlier look are not looked at again
@@ -73,14 +72,13 @@ _INITIAL_POINT = np.array([1.0, 0.5, 0.5])  # the initial view is of the target'
 class WatchfulAgent(JointAgent):
     """Follow paths through observed space, and observe unknown space on them before entering it.
 
-    It begins with a view of the space around the target, or of the plants if there is no viewpoint of it. If its path
-    leads through space that neither the scan nor its camera has observed, or where the scan found a surface that its
-    camera has not seen, it first moves to where its camera sees that space, if there is such a viewpoint and it has
-    looked fewer than `MAX_LOOKS` times, and plans again. The aisle behind the arm counts as free. Points on its images
-    that the scan does not explain are obstacles: when one blocks the rest of its path, it plans again from where it is.
-    Where the roadmap has no path to the target, it plans with RRTConnect, which needs OMPL. After `MAX_PLANS` plans
-    without success it trusts its camera more than the boxes of the scan, and after `EXTRA_PLANS` further ones it holds
-    still.
+    It begins with a view of the plants. If its path leads through space that neither the scan nor its camera has
+    observed, or where the scan found a surface that its camera has not seen, it first moves to where its camera sees
+    that space, if there is such a viewpoint and it has looked fewer than `MAX_LOOKS` times, and plans again. The aisle
+    behind the arm counts as free. Points on its images that the scan does not explain are obstacles: when one blocks
+    the rest of its path, it plans again from where it is. Where the roadmap has no path to the target, it plans with
+    RRTConnect, which needs OMPL. After `MAX_PLANS` plans without success it trusts its camera more than the boxes of
+    the scan, and after `EXTRA_PLANS` further ones it holds still.
 
     Args:
         margin: Distance kept from boxes of clutter if possible, metres; leaves reach beyond their boxes, see
@@ -162,18 +160,14 @@ class _Episode:
         self._problem, self._arm = problem, arm_spheres(problem.robot)
         self._map = LocalMap(problem, target, camera, unexplained, noisy)
         self._depths = NOISY_DEPTHS if noisy else DEPTHS
-        self._trail = [problem.start]
+        self._path, self._trail = self._initial_path(target), [problem.start]
         self._looking, self._stuck, self._age, self._plans, self._looks = True, False, 0, 0, 0
         self._looked_at: Array = np.zeros((0, 3))
         self._rng = np.random.default_rng(problem.seed)
-        self._path = self._initial_path(target)
 
     def _initial_path(self, target: Array) -> list[Array]:
-        """Return a viewpoint of the space around the target, or one of the plants; empty if none is within reach."""
+        """Return the configuration with the plants in view; empty if the scan has something in the way."""
         problem = self._problem
-        around = self._map.unobserved_around_target()[::_SUBSET]
-        if path := self._view(self._map.scene(problem.start, VOXELS[0]), problem.start, around)[0]:
-            return path
         checker = self._checker(self._compiled(problem.scene), 0.0)
         view = initial_view(self._arm, problem.robot, problem.start, _INITIAL_POINT * target)
         return [view] if checker.motion_is_free(problem.start, view, RESOLUTION) else []
@@ -271,22 +265,16 @@ class _Episode:
 
     def _look(self, scene: Scene, command: Array, points: Array) -> None:
         """Go to the viewpoint that shows most of points (k, 3), if a free motion leads to one."""
-        self._looks += 1
-        path, seen = self._view(scene, command, points)
-        if path:
-            self._path, self._looking = path, True
-            self._looked_at = np.concatenate([self._looked_at, points[seen]])
-
-    def _view(self, scene: Scene, command: Array, points: Array) -> tuple[list[Array], Array]:
-        """Return the path to the viewpoint that shows most of points (k, 3), empty without one, and which it shows."""
         robot = self._problem.robot
-        level = _NO_CAUTION[-1] if scene.occupancy is None else self._levels[0]
-        checker = self._checker(apply_caution(scene, robot, command, level))
+        self._looks += 1
+        checker = self._checker(apply_caution(scene, robot, command, self._levels[0]))
         sees = partial(visible, self._arm, points=points, occluder=self._map.occupied, depths=self._depths)
-        for viewpoint, seen in islice(viewpoints(robot, command, sees, self._rng), _MAX_VIEWPOINTS):
+        found = viewpoints(robot, command, sees, self._rng)
+        for viewpoint, seen in islice(found, _MAX_VIEWPOINTS):
             if checker.is_free(viewpoint) and checker.inside_is_free(command, viewpoint, RESOLUTION):
-                return [viewpoint], seen
-        return [], np.zeros(len(points), dtype=np.bool_)
+                self._path, self._looking = [viewpoint], True
+                self._looked_at = np.concatenate([self._looked_at, points[seen]])
+                return
 
     def _compiled(self, scene: Scene) -> CompiledScene:
         """Return a scene in which all unknown space is free; the last ones are cached."""
