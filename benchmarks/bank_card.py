@@ -48,8 +48,9 @@ Nothing in it is real, and nothing was placed by hand.$progress
 Every scene holds the reconstruction, which an agent knows (at most $primitives shapes within $width m along the row),
 the truth (everything within $reach m of the shoulder; the leaves of Helios' plants as boxes within $leaves mm of them),
 the occupancy grid of the space around the arm, and targets: at most $targets tomatoes, spread over their distances from
-the shoulder. Where the arm's start would touch the true plants, there is no scene. A recording's row keeps its name in
-all weeks, and a row is in one split only.
+the shoulder. Where the arm's start would touch the true plants, there is no scene, or, in one whose leaves were cut
+into boxes a second time, the arm begins upright. A recording's row keeps its name in all weeks, and a row is in one
+split only.
 
 ## Difficulty
 

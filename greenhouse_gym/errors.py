@@ -100,6 +100,10 @@ class ReconstructionError(GreenhouseError):
     """A recording could not be turned into a row; the message gives the reasons."""
 
 
+class NoPlacementError(InvalidValueError):
+    """The arm finds no room in front of a row; the message names the settings that move it."""
+
+
 def require_choice(kind: str, name: str, choices: Iterable[str]) -> str:
     """Return ``name`` if it is among ``choices``, else raise `UnknownNameError` listing them."""
     choices = tuple(choices)

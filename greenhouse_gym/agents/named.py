@@ -104,5 +104,5 @@ def make_agent(name: str) -> Agent:
         planners = ()
     if name in planners or name in PAPER_PLANNERS:
         return PlannerAgent(name)  # raises if OMPL is missing
-    own = "(a policy's file, a training's folder, file.py:Class or module:Class)"
+    own = f"({_SHIELDED}POLICY, a policy's file, a training's folder, file.py:Class or module:Class)"
     raise UnknownNameError("agent", name, [*SIMPLE, *shipped_policies(), own, *planners])

@@ -19,13 +19,12 @@ __all__ = ["BEST", "Policy", "PolicyAgent", "shipped_policies"]
 BEST = "ppo-roadmap-ur5e"
 """The shipped policy with the highest success rate, which other agents use by default."""
 
+_WITH_PLAN = ("roadmap", "goal_roadmap")  # observations that hold the next waypoint of a plan
+
 
 def shipped_policies() -> dict[str, Path]:
     """Return the JSON files of the shipped policies by name."""
     return {path.stem: path for path in sorted(data_path("policies").glob("*.json"))}
-
-
-_WITH_PLAN = ("roadmap", "goal_roadmap")  # observations that hold the next waypoint of a plan
 
 
 class PolicyAgent(NamedAgent):

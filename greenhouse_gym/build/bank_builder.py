@@ -18,7 +18,7 @@ from greenhouse_gym.common.executors import completed, portable
 from greenhouse_gym.common.extras import require_extras
 from greenhouse_gym.common.files import checked_name, exclusive, parsing, read_bytes, write_atomically
 from greenhouse_gym.common.progress import say
-from greenhouse_gym.errors import FileFormatError, GreenhouseError, InvalidValueError
+from greenhouse_gym.errors import FileFormatError, GreenhouseError, InvalidValueError, NoPlacementError
 from greenhouse_gym.planning import certify_targets
 from greenhouse_gym.reconstruction import reconstruct_row, settings_for
 from greenhouse_gym.scene import Provenance, Scene, SceneBank
@@ -66,7 +66,8 @@ def build_bank(
 
     Raises:
         InvalidValueError: There are no recordings, two share a name, a name is no safe file name, lists differ in
-            length, a row is in two splits, or the arm would start inside true plants at all placements of a row.
+            length, or a row is in two splits.
+        NoPlacementError: The arm would start inside true plants at all placements of a row.
         FileWriteError: The folder cannot be written, or another process is building in it; raised before any work.
         MissingDependencyError: OMPL, which certifies the targets, is not installed.
         ReconstructionError: A recording could not be turned into a row.
@@ -193,11 +194,11 @@ def _collision_free(
     """Return the scenes of a recording in which the arm does not start inside the true plants.
 
     Raises:
-        InvalidValueError: There are none.
+        NoPlacementError: There are none.
     """
     free = [scene for scene in cut if start_is_collision_free(scene, settings.robot)]
     if not free:
-        raise InvalidValueError(
+        raise NoPlacementError(
             f"recording {name!r}: at all {len(cut)} placements the arm would start inside the true plants; move them "
             f"with BuildSettings.spacing or stem_distance, now {settings.stem_distance:g} m"
         )

@@ -16,12 +16,20 @@ from greenhouse_gym.build.bank_builder import UNFINISHED, build_bank
 from greenhouse_gym.build.scenes import BuildSettings
 from greenhouse_gym.capture import Recording, simulate_protocol
 from greenhouse_gym.common.executors import completed
+from greenhouse_gym.common.extras import require_extras
 from greenhouse_gym.common.files import exclusive
+from greenhouse_gym.common.progress import report
 from greenhouse_gym.crops import grow_row
-from greenhouse_gym.errors import InvalidValueError, check_whole, require_seed
+from greenhouse_gym.errors import (
+    InvalidValueError,
+    NoPlacementError,
+    ReconstructionError,
+    check_whole,
+    require_seed,
+)
 from greenhouse_gym.scene import Provenance, SceneBank
 from greenhouse_gym.scene.bank import write_bank
-from greenhouse_gym.scene.manifest import Split
+from greenhouse_gym.scene.manifest import MANIFEST, Split
 
 ROW_LENGTH = 1.0  # m
 WEEKS = 12
@@ -143,6 +151,9 @@ def build_training_bank(
 ) -> SceneBank:
     """Build the bank of recordings of grown rows; resumes an interrupted build at the first row that it lacks.
 
+    A row that leaves the arm no room, or that cannot be reconstructed, is left out with a message. A finished bank of
+    the same recordings is returned as it is.
+
     Args:
         out: The bank's folder.
         recordings: Recordings, as of `training_recordings`.
@@ -150,17 +161,52 @@ def build_training_bank(
         on_progress: Called with the number of finished rows.
 
     Raises:
+        InvalidValueError: There are no recordings, the folder holds another bank, or no row is left.
         FileWriteError: The folder cannot be written, or another process is building in it.
         MissingDependencyError: OMPL, which certifies the targets, or Helios is not installed.
     """
+    if not recordings:
+        raise InvalidValueError("expected recordings of rows to build a bank of, got none")
+    require_extras("reconstruct", "plan")
+    first, last = recordings[0].name, recordings[-1].name
+    described = f"Grown training rows, reconstructed: {len(recordings)} recordings, {first} to {last}."
     folder = Path(out)
     parts = folder / UNFINISHED
     with exclusive(folder):
-        build = partial(build_part, parts=parts, description="A training row, grown, photographed and reconstructed.")
-        for done, _ in enumerate(completed(build, recordings, executor), start=1):
+        if (folder / MANIFEST).exists() and not parts.exists():
+            return _same_bank(folder, described)
+        build = partial(_part_or_none, parts=parts)
+        built: set[Path | None] = set()
+        for done, part in enumerate(completed(build, recordings, executor), start=1):
+            built.add(part)
             on_progress(done)
-        scenes = [(scene, row.split) for row in recordings for scene in SceneBank.open(parts / row.name)]
-        described = f"Grown training rows, reconstructed: {len(recordings)}, seeds from {recordings[0].seed}."
+        usable = [row for row in recordings if parts / row.name in built]
+        scenes = [(scene, row.split) for row in usable for scene in SceneBank.open(parts / row.name)]
+        if not scenes:
+            raise InvalidValueError(f"{folder}: none of the {len(recordings)} rows could be used; the messages say why")
         bank = write_bank(folder, scenes, folder.resolve().name, described)
     shutil.rmtree(parts)
     return bank
+
+
+def _same_bank(folder: Path, described: str) -> SceneBank:
+    """Return the finished bank in a folder.
+
+    Raises:
+        InvalidValueError: It is described otherwise.
+    """
+    bank = SceneBank.open(folder)
+    if bank.manifest.description != described:
+        raise InvalidValueError(
+            f"{folder} holds another bank ({bank.manifest.description!r}); choose a new folder for {described!r}"
+        )
+    return bank
+
+
+def _part_or_none(recording: RowRecording, parts: Path) -> Path | None:
+    """Build the bank of one recording; None, with a message, if its row cannot be used."""
+    try:
+        return build_part(recording, parts, "A training row, grown, photographed and reconstructed.")
+    except (NoPlacementError, ReconstructionError) as error:
+        report(f"{recording.name} is left out: {error}")
+        return None

@@ -73,6 +73,7 @@ class EnvSettings:
         step_limit: Steps after which an episode is truncated; None for that of the task, 200 except for harvests.
         start: Start configuration: the name of one of the arm's, "ready", "upright" or "folded", or a joint angle for
             each joint, radians; the arm's own if None, which is "ready". The options of a reset may choose another.
+            Where the arm's own would touch true plants that stop it, the episode begins from "upright".
         rate: Actions per second; the time between two actions must be a multiple of 10 ms: 100, 50, 25, 20, 10 and so
             on. Joint actions have the same maximum speed at every rate.
         task: Task: "reach", "look", "harvest", your own as ``"file.py:Name"`` or ``"module:Name"``, a `Task` or a

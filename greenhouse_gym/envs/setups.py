@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -60,4 +61,7 @@ def draw_setup(
     if worlds.layout is not None:
         fruit = episode.fruit or tuple(dict.fromkeys(world.bodies[list(episode.targets)].tolist()))
         world = worlds.planted(world, fruit, task.mechanics.scaled(disturbance.mechanics))
+    asked = options is not None and options.get("start") is not None
+    if not asked and np.array_equal(episode.start, sampler.robot.start):
+        episode = replace(episode, start=world.start)
     return Setup(episode, world, disturbance)

@@ -19,7 +19,7 @@ from greenhouse_gym.scene.geom_order import first_world_geom
 from greenhouse_gym.scene.mjcf import DEFAULT_CAPACITY, MAX_CAPACITY
 from greenhouse_gym.scene.plants.slots import Planted
 from greenhouse_gym.scene.plants.topology import Topology, topology_of
-from greenhouse_gym.scene.truth import known_scene
+from greenhouse_gym.scene.truth import known_scene, own_start
 
 _ROUND = 100
 
@@ -109,6 +109,13 @@ class World:
     def leaf_contacts(self) -> LeafContacts:
         """Finder of the leaves of the simulated scene that the arm touches."""
         return LeafContacts(self.compiled)
+
+    @cached_property
+    def start(self) -> Array:
+        """(joints,) start of the arm if no other is asked for; not in plants of the true row that stop it."""
+        simulates_scan = self.compiled.scene is self.scene
+        lets_pass = self.planted is not None or self.leaves != "rigid"
+        return self.compiled.robot.start if simulates_scan or lets_pass else own_start(self.compiled)
 
     @cached_property
     def rigid(self) -> CompiledScene:

@@ -1,12 +1,13 @@
-"""Scenes made of the true row, scenes without it, and the check that an arm does not start inside it."""
+"""Scenes made of the true row, scenes without it, and starts of an arm in front of it."""
 
 from __future__ import annotations
 
 import mujoco
 
 from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import Robot
-from greenhouse_gym.scene.mjcf import compile_scene
+from greenhouse_gym.scene.mjcf import CompiledScene, compile_scene
 from greenhouse_gym.scene.scene import Provenance, Scene
 
 
@@ -44,8 +45,7 @@ def without_plants(scene: Scene) -> Scene:
 def start_is_collision_free(scene: Scene, robot: str | Robot) -> bool:
     """Return whether an arm touches no plant of the true row at its own start and at `Robot.rating_start`.
 
-    People who put up an arm see the plants and do not place it inside them, whatever the scan shows. Contacts with the
-    floor, the cart and the arm itself do not count.
+    People who put up an arm see the plants and do not place it inside them, whatever the scan shows.
 
     Args:
         scene: A scene; the result is True if it carries no truth.
@@ -54,12 +54,27 @@ def start_is_collision_free(scene: Scene, robot: str | Robot) -> bool:
     if scene.truth is None or not scene.truth.counts[0]:
         return True
     compiled = compile_scene(true_scene(scene), robot)
+    return not any(is_in_plants(compiled, q) for q in (compiled.robot.start, compiled.robot.rating_start))
+
+
+def own_start(compiled: CompiledScene) -> Array:
+    """Return the start (joints,) of an arm in a true row, radians.
+
+    It is `Robot.rating_start` where the arm's own start would touch plants: scenes are not chosen for every arm, and
+    plants move.
+    """
+    robot = compiled.robot
+    return robot.rating_start if is_in_plants(compiled, robot.start) else robot.start
+
+
+def is_in_plants(compiled: CompiledScene, configuration: Array) -> bool:
+    """Return whether an arm in a configuration (joints,) touches plants.
+
+    Contacts with the floor, the cart and the arm itself do not count.
+    """
     data = mujoco.MjData(compiled.model)
+    data.qpos[:] = configuration
+    mujoco.mj_kinematics(compiled.model, data)
+    mujoco.mj_collision(compiled.model, data)
     plants = compiled.obstacle_geoms
-    for start in (compiled.robot.start, compiled.robot.rating_start):
-        data.qpos[:] = start
-        mujoco.mj_kinematics(compiled.model, data)
-        mujoco.mj_collision(compiled.model, data)
-        if ((data.contact.geom >= plants.start) & (data.contact.geom < plants.stop)).any():
-            return False
-    return True
+    return bool(((data.contact.geom >= plants.start) & (data.contact.geom < plants.stop)).any())

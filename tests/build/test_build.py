@@ -21,7 +21,7 @@ from greenhouse_gym.capture import Recording, RgbdFrame, Station, write_recordin
 from greenhouse_gym.common.files import exclusive
 from greenhouse_gym.crops import PlantRow
 from greenhouse_gym.crops.parts import Stem, Tomato
-from greenhouse_gym.errors import FileWriteError, InvalidValueError, ReconstructionError
+from greenhouse_gym.errors import FileWriteError, InvalidValueError, NoPlacementError, ReconstructionError
 from greenhouse_gym.geometry import Box, Sphere, distance_to_shapes, pose, rotation_about, rotation_angle
 from greenhouse_gym.reconstruction import ReconstructionSettings, RowCloud, RowReport
 from greenhouse_gym.scene import Provenance, Scene, SceneBank, Target
@@ -294,7 +294,7 @@ def test_nobody_puts_an_arm_up_in_the_plants(calls: Calls, tmp_path: Path) -> No
     assert bank.names() == ["row-00", "row-02"]
     assert calls.certified == bank.names()
     assert any("1 of 3 placements left out" in line for line in said)
-    with pytest.raises(InvalidValueError, match=r"'row': at all 3 placements.*stem_distance, now 0\.6 m"):
+    with pytest.raises(NoPlacementError, match=r"'row': at all 3 placements.*stem_distance, now 0\.6 m"):
         built(tmp_path / "all", [all_stands])
 
 

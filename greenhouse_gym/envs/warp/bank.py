@@ -16,14 +16,16 @@ from greenhouse_gym.envs.episodes import UNRATED, EpisodeSampler
 from greenhouse_gym.envs.warp.arm import Ints, matrix
 from greenhouse_gym.envs.worlds import spheres_in_base
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.geometry import Array, Box, ShapeArrays, arrays_of, pose, rotation_about
+from greenhouse_gym.geometry import Array, Box, ShapeArrays, arrays_of, pose, rotation_about, transform
+from greenhouse_gym.geometry.distances import distance_to_nearest
 from greenhouse_gym.geometry.shape_arrays import BOX, CAPSULE, SPHERE
+from greenhouse_gym.motion.arm_spheres import arm_spheres
 from greenhouse_gym.motion.distance_field import NODE, SHAPE, obstacle_field
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import DIFFICULTIES, ArmPlacement, Provenance, Scene, compile_scene
 from greenhouse_gym.scene.mjcf import base_position
 from greenhouse_gym.scene.obstacle_slots import MIN_LENGTH
-from greenhouse_gym.scene.truth import true_scene
+from greenhouse_gym.scene.truth import own_start, true_scene
 
 RATINGS = (*DIFFICULTIES, UNRATED)
 """Ratings of targets by index."""
@@ -61,6 +63,7 @@ class SceneArrays:
         heading: (s, 3, 3) rotation from the base frame, in which observations are, to the scene.
         arm_rotation: (s, 3, 3) rotation of the arm's first body in the scene.
         floor: (s,) height of the floor, metres.
+        start: (s, n) the arm's own start, see `greenhouse_gym.scene.truth.own_start`, radians.
         fixtures: (s,) rows of each scene's shapes before its tomatoes.
         tomato_first: (s,) first tomato of each scene.
         scene: (t,) scene of each tomato.
@@ -76,6 +79,7 @@ class SceneArrays:
     heading: Array
     arm_rotation: Array
     floor: Array
+    start: Array
     fixtures: Ints
     tomato_first: Ints
     scene: Ints
@@ -143,12 +147,14 @@ def bank_of(scenes: Sequence[Scene], sampler: EpisodeSampler, physics: str) -> B
     tables = []
     columns: dict[str, list[Any]] = {name: [] for name in ("scene", "tomato", "shape", "target", "goal", "radius")}
     ratings: list[int] = []
+    starts: list[Array] = []
     for s, scene in enumerate(scenes):
         physical = true_scene(scene) if truth else scene
         placement = _placement(scene.placement.model_dump_json(), robot)
         placements.append(placement)
         cart = placement.cart
         tables.append(_table(cart, physical.arrays))
+        starts.append(_start(physical, robot, placement.scene_from_base) if truth else robot.start)
         targets = spheres_in_base(scene, placement.scene_from_base).astype(np.float32).astype(np.float64)
         goals, bodies = targets, np.arange(len(targets))
         if truth:
@@ -170,6 +176,7 @@ def bank_of(scenes: Sequence[Scene], sampler: EpisodeSampler, physics: str) -> B
         heading=np.array([p.scene_from_base[:3, :3] for p in placements]),
         arm_rotation=np.array([p.arm_rotation for p in placements]),
         floor=np.array([p.floor for p in placements]),
+        start=np.array(starts),
         fixtures=np.array([len(p.cart.kinds) for p in placements], dtype=np.int32),
         tomato_first=np.concatenate([[0], np.cumsum(counts)[:-1]]).astype(np.int32),
         rating=np.array(ratings, dtype=np.int32),
@@ -226,6 +233,14 @@ def _placement(written: str, robot: Robot) -> _Placement:
         float(model.geom("floor").pos[2]),
         arrays_of([Box(model.geom_pos[g], model.geom_size[g], matrix(model.geom_quat[g])) for g in fixtures]),
     )
+
+
+def _start(true: Scene, robot: Robot, scene_from_base: Array) -> Array:
+    """Return the arm's own start in a true row, compiled only where something is near."""
+    arm = arm_spheres(robot)
+    centers = transform(scene_from_base, arm.centers(robot.start[None])[0])
+    near = distance_to_nearest(centers, true.arrays, float(arm.radius.max())) <= arm.radius
+    return own_start(compile_scene(true, robot)) if near.any() else robot.start
 
 
 def _fields(scenes: Sequence[Scene], placements: Sequence[_Placement]) -> npt.NDArray[np.void]:

@@ -166,7 +166,7 @@ def drive_kernel(real: Any, joints: int, substeps: int, moves_tip: bool, unrolle
         draws: Draws,
         s: State,
         action: wp.array2d(dtype=wp.float32),
-        default_start: wp.array(dtype=real),
+        starts: wp.array2d(dtype=real),
         resets_only: wp.int32,
     ):
         """Begin episodes where the last one ended; elsewhere act, or do nothing if ``resets_only``."""
@@ -197,8 +197,10 @@ def drive_kernel(real: Any, joints: int, substeps: int, moves_tip: bool, unrolle
             s.ended[w] = 0
             for i in range(n):
                 q[i] = s.start[w, i]
+                if wp.isnan(q[i]):
+                    q[i] = starts[scenes.scene[row], i]
                 act[i] = q[i]
-                s.start[w, i] = default_start[i]
+                s.start[w, i] = real(wp.nan)
         else:
             effort = real(0.0)
             for i in range(action.shape[1]):

@@ -263,7 +263,8 @@ class WarpVectorEnv(EnvMixin, VectorEnv[Any, Any, Any]):  # type: ignore[misc]
             if options[i]:
                 episode = sampler.draw(self._rng, options[i])
                 index = simulation.bank.index_of(episode.scene, self.settings.split)
-                wanted[i], start[i] = first[index] + episode.targets[0], episode.start
+                wanted[i] = first[index] + episode.targets[0]
+                start[i] = np.nan if options[i].get("start") is None else episode.start
         state.wanted.assign(wanted)
         state.start.assign(start)
 

@@ -96,8 +96,10 @@ class WarpSimulation:
         space: Any = self.observe.space["observation"] if self.observe.has_goals else self.observe.space  # type: ignore[index]
         self.low, self.high = (wp.array(side, dtype=wp.float32, device=self.device) for side in (space.low, space.high))
         self.action = wp.zeros((count, self.action_rule.space.shape[0]), dtype=wp.float32, device=self.device)
-        self.start = wp.array(self.sampler.draw(np.random.default_rng(0)).start, dtype=real, device=self.device)
-        self.state.start.assign(np.tile(self.start.numpy(), (count, 1)))
+        own, start = self.bank.arrays.start, self.sampler.draw(np.random.default_rng(0)).start
+        starts = own if np.array_equal(start, robot.start) else np.broadcast_to(start, own.shape)
+        self.starts = wp.array(starts, dtype=real, device=self.device)
+        self.state.start.fill_(np.nan)
         for array in (self.state.ended, self.state.wanted):
             array.fill_(1 if array is self.state.ended else -1)
         self.set_draws()
@@ -124,7 +126,7 @@ class WarpSimulation:
     def launches(self, resets_only: int) -> Iterator[tuple[Any, tuple[int, ...], list[Any]]]:
         """Yield kernels with their dimensions and arguments, in their order."""
         n, arm, bank, s = self.count, self.arm, self.bank, self.state
-        yield self._drive, (n,), [arm, bank.placements, self.draws, s, self.action, self.start, resets_only]
+        yield self._drive, (n,), [arm, bank.placements, self.draws, s, self.action, self.starts, resets_only]
         yield self._collide, (n, self._lanes), [arm, bank.placements, bank.shapes, bank.cells, s]
         yield self._observe, (n,), [
             arm, bank.placements, bank.fields, s, self.rules, self.layout, self.low, self.high, resets_only, self.out

@@ -76,6 +76,7 @@ def structs(real: Any) -> SimpleNamespace:
         heading: wp.array(dtype=mat3)
         arm_rotation: wp.array(dtype=mat3)
         floor: wp.array(dtype=real)
+        start: wp.array2d(dtype=real)
         fixtures: wp.array(dtype=wp.int32)
         tomato_first: wp.array(dtype=wp.int32)
         scene: wp.array(dtype=wp.int32)
@@ -99,7 +100,7 @@ def structs(real: Any) -> SimpleNamespace:
 
         Attributes:
             joints, velocities, command: (n, j) of the arm.
-            start: (n, j) start of the next episode.
+            start: (n, j) start of the next episode; NaN for that of its scene.
             wanted: (n,) tomato of the next episode; -1 draws one.
             seed, draws: (n,) seed, and number of episodes drawn with it.
             row: (n,) current tomato, a row of `Scenes`.
