@@ -26,9 +26,8 @@ from greenhouse_gym.scene import Scene
 from greenhouse_gym.scene.mjcf import base_position
 from greenhouse_gym.scene.occupancy import FREE, OCCUPIED, UNKNOWN, OccupancyGrid, boxes_around_points
 
-CLEARANCE = 0.008
-"""Distance kept from points that the camera has observed since a path was planned, metres: of a surface, the map keeps
-one point every 12 mm, so it reaches on past them."""
+CLEARANCE = 0.002
+"""Distance kept from points that the camera has observed, metres."""
 
 _SHAPE, _SKIN = 0.001, 0.008  # metres: points so near to a shape of the scan, or to the target, belong to it
 _AT_ARM = 0.01  # metres: points so near to the arm are no obstacle to a path that starts there
@@ -43,11 +42,14 @@ _ARM_GAP, _TARGET_GAP = 0.02, 0.02  # metres: unobserved space so near to the ar
 class LocalMap:
     """A scanned scene with the points that only the camera has observed; points are in the frame of the arm's base.
 
+    The unknown space of the aisle behind the arm counts as free: no plants hang there, and an arm that starts bent back
+    over it could hardly move otherwise.
+
     Args:
         problem: The episode.
         target: (3,) the target's center, metres.
         camera: The camera at the arm's wrist.
-        unexplained: Whether occupied cells count as unobserved until the camera has looked at them.
+        unexplained: Whether unexplained occupied cells count as unobserved until the camera has looked at them.
         noisy: Whether the camera's images have the noise of a D435.
 
     Attributes:
@@ -66,7 +68,6 @@ class LocalMap:
         self._unexplained = unexplained_cells(scene) if unexplained and scene.occupancy is not None else None
         self.points: Array = np.zeros((0, 3))
         self.points_at_boxes: Array = np.zeros((0, 3))
-        self._planned_with = 0, 0  # points, and points at boxes, that the last plan knew
         self._scene, self._arm, self._target = scene, arm_spheres(problem.robot), target
         self._tomato = scene.tomatoes[problem.target].shape
         self._map = OccupancyMap(self._arm, camera, target, self._tomato.radius, noisy)
@@ -94,7 +95,7 @@ class LocalMap:
         return bool(len(new))
 
     def scene(self, command: Array, voxel: float, boxes: bool = True) -> Scene:
-        """Return the scan's scene with clutter over the observed points that its shapes do not explain, to plan in.
+        """Return the scan's scene with clutter over the observed points that its shapes do not explain.
 
         Args:
             command: (j,) configuration of the arm; points at the arm are left out.
@@ -104,7 +105,6 @@ class LocalMap:
                 the points it has observed at them.
         """
         scene, points = self._scene, self._unexplained_points(boxes)
-        self._planned_with = len(self.points), len(self.points_at_boxes)
         points = points[self._distances(points, self._arm.centers(command[None])[0]) > _AT_ARM]
         points = transform(self._scene_from_base, points)
         covered = boxes_around_points(points, voxel)
@@ -117,9 +117,8 @@ class LocalMap:
             scene = scene.with_columns(scene.columns.with_clutter(kept), changed=("clutter",))
         return scene.with_space(covered).model_copy(update={"occupancy": self._occupancy()})
 
-    def _unexplained_points(self, boxes: bool, since: tuple[int, int] = (0, 0)) -> Array:
-        points = self.points[since[0] :]
-        return points if boxes else np.concatenate([points, self.points_at_boxes[since[1] :]])
+    def _unexplained_points(self, boxes: bool) -> Array:
+        return self.points if boxes else np.concatenate([self.points, self.points_at_boxes])
 
     def _examined(self, index: int) -> bool:
         """Return whether the camera has observed most of a shape of the scan, which is a box."""
@@ -133,10 +132,10 @@ class LocalMap:
     def blocked(self, configurations: Array, boxes: bool = True) -> bool:
         """Return whether observed points block an arm that moves on from the first of some configurations (m, j).
 
-        Only points that the last `scene` did not hold count; without ``boxes``, also those at boxes of the scan.
+        Without ``boxes``, points at boxes of the scan count, too.
         """
         centers, moving = self._arm.centers(configurations), self._arm.moving
-        points = self._unexplained_points(boxes, self._planned_with)
+        points = self._unexplained_points(boxes)
         points = points[self._distances(points, centers[0]) > _AT_ARM]
         if not len(points):
             return False
@@ -148,8 +147,8 @@ class LocalMap:
     def unobserved(self, configurations: Array) -> Array:
         """Return points (k, 3) of an arm in configurations (m, j) that neither the scan nor the camera has observed.
 
-        Occupied cells count as unobserved if ``unexplained`` is set: leaves reach beyond their shapes. Points near the
-        first configuration and near the target are left out. A scene without occupancy has no such points.
+        Unexplained occupied cells count as unobserved if ``unexplained`` is set. Points near the first configuration
+        and near the target are left out. A scene without occupancy has no such points.
         """
         space = self._scene.occupancy
         if space is None:
@@ -158,8 +157,7 @@ class LocalMap:
         offsets = self._arm.radius[moving, None, None] * np.concatenate([np.eye(3), -np.eye(3)])
         points = np.concatenate([centers[:, moving, None], centers[:, moving, None] + offsets], axis=2).reshape(-1, 3)
         in_scene = transform(self._scene_from_base, points)
-        known = space.is_known(in_scene) if self._unexplained is None else space.states_at(in_scene) == FREE
-        points = points[~known & ~self._map.observed(points)]
+        points = points[(~space.is_known(in_scene) | self._is_unexplained(in_scene)) & ~self._map.observed(points)]
         points = (np.unique(np.floor(points / _SPACING), axis=0) + 0.5) * _SPACING
         points = points[np.linalg.norm(points - self._target, axis=1) > self._tomato.radius + _TARGET_GAP]
         return np.asarray(points[self._distances(points, centers[0]) > _ARM_GAP])
@@ -180,6 +178,17 @@ class LocalMap:
             return np.zeros(len(points), dtype=np.bool_)
         return np.asarray(space.states_at(transform(self._scene_from_base, points)) == OCCUPIED)
 
+    def _is_unexplained(self, points: Array) -> npt.NDArray[np.bool_]:
+        """Return which points (n, 3) of the scene lie in unexplained occupied cells, (n,)."""
+        space = self._scene.occupancy
+        if space is None or self._unexplained is None:
+            return np.zeros(len(points), dtype=np.bool_)
+        cells = np.floor((points - space.origin) / space.voxel).astype(np.int64)
+        inside = ((cells >= 0) & (cells < space.shape)).all(axis=1)
+        found = np.zeros(len(points), dtype=np.bool_)
+        found[inside] = self._unexplained[tuple(cells[inside].T)]
+        return found
+
     def _distances(self, points: Array, centers: Array) -> Array:
         """Return distances (n,) of points (n, 3) to an arm with its spheres at centers (b, 3), metres; < 0 inside."""
         return np.asarray((cdist(points, centers) - self._arm.radius).min(axis=1, initial=np.inf))
@@ -197,7 +206,7 @@ class LocalMap:
 
 
 def _with_free_aisle(scene: Scene, base_from_scene: Array) -> Scene:
-    """Return a scene in which unknown space of the aisle is free: scans may not show it, but no plants hang there."""
+    """Return a scene in which the unknown space of the aisle is free."""
     space = scene.occupancy
     if space is None:
         return scene

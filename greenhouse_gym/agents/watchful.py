@@ -73,18 +73,17 @@ class WatchfulAgent(JointAgent):
     """Follow paths through observed space, and observe unknown space on them before entering it.
 
     It begins with a view of the plants. If its path leads through space that neither the scan nor its camera has
-    observed, or where the scan found a surface that its camera has not seen, it first moves to where its camera sees
-    that space, if there is such a viewpoint and it has looked fewer than `MAX_LOOKS` times, and plans again. The aisle
-    behind the arm counts as free. Points on its images that the scan does not explain are obstacles: when one blocks
-    the rest of its path, it plans again from where it is. Where the roadmap has no path to the target, it plans with
-    RRTConnect, which needs OMPL. After `MAX_PLANS` plans without success it trusts its camera more than the boxes of
-    the scan, and after `EXTRA_PLANS` further ones it holds still.
+    observed, it first moves to where its camera sees that space, if there is such a viewpoint and it has looked fewer
+    than `MAX_LOOKS` times, and plans again. Points on its images that the scan does not explain are obstacles: when one
+    blocks the rest of its path, it plans again from where it is. Where the roadmap has no path to the target, it plans
+    with RRTConnect, which needs OMPL. After `MAX_PLANS` plans without success it trusts its camera more than the boxes
+    of the scan, and after `EXTRA_PLANS` further ones it holds still.
 
     Args:
         margin: Distance kept from boxes of clutter if possible, metres; leaves reach beyond their boxes, see
             `greenhouse_gym.motion.caution.with_margin`. Otherwise half of it is kept, then none.
-        unexplained: Whether it avoids unexplained occupied cells if possible, and looks at all occupied cells as at
-            unknown space; see `greenhouse_gym.motion.caution.with_unexplained_cells`.
+        unexplained: Whether it avoids unexplained occupied cells if possible, and looks at them as at unknown space;
+            see `greenhouse_gym.motion.caution.with_unexplained_cells`.
         depth: Preferred depth in unknown space, metres.
         image: Width and height of its camera's images, pixels.
         noisy: Whether its images have the noise of a D435, as with ``Randomization(depth_noise=True)``.

