@@ -116,7 +116,7 @@ def test_the_wheel_installs_into_a_fresh_environment(wheel: Path, tmp_path: Path
     subprocess.run([sys.executable, "-m", "venv", home], check=True)
     python = home / "bin" / "python"
     constraints = ["--constraint", str(ROOT / "constraints.txt")]
-    subprocess.run([python, "-m", "pip", "install", "--quiet", *constraints, wheel], check=True)
+    subprocess.run([python, "-m", "pip", "install", "--quiet", *constraints, f"{wheel}[plan]"], check=True)
     program = home / "bin" / "greenhouse-gym"
     code = "from greenhouse_gym.cli import main; main()"  # the program's first line would hold the path, with its space
     assert program.is_file()
