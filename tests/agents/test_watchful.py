@@ -32,6 +32,7 @@ from greenhouse_gym.robots import get_robot
 from greenhouse_gym.robots.kinematics import tool_state
 from greenhouse_gym.scene import Scene, compile_scene
 from greenhouse_gym.scene.mjcf import base_position
+from greenhouse_gym.scene.occupancy import FREE, UNKNOWN
 
 ARM = get_robot("ur5e")
 START = ARM.starts["upright"]
@@ -333,6 +334,21 @@ def test_what_is_known_grows_with_the_images(scene: Scene, arm: ArmSpheres) -> N
     assert known.blocked(way)
     assert not known.blocked(way[1:]), "what the arm is at already does not keep it there"
     env.close()
+
+
+def test_the_aisle_behind_the_arm_is_free_and_nothing_else_that_is_unknown(scene: Scene) -> None:
+    told = known_where(scene, 0.0)
+    base = base_position(scene, ARM)
+    known = LocalMap(Problem(told, TARGET, ARM, START), scene.tomatoes[TARGET].center - base, CAMERA)
+    before, now = told.occupancy, known.scene(START, 0.01).occupancy
+    assert before is not None
+    assert now is not None
+    ahead = before.centers[..., 0] - base[0]
+    changed = now.states != before.states
+    assert changed.any()
+    assert (now.states[changed] == FREE).all()
+    assert ((ahead[changed] > -0.5) & (ahead[changed] < -0.1)).all()
+    assert (now.states[(ahead > -0.5) & (ahead < -0.1)] != UNKNOWN).all()
 
 
 def test_a_surface_without_a_shape_is_dark_until_the_camera_has_looked(scene: Scene, arm: ArmSpheres) -> None:
