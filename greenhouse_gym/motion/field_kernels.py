@@ -1,4 +1,4 @@
-"""Kernels of `greenhouse_gym.motion.distance_field`.
+"""Kernels of `greenhouse_gym.motion.distance_field`; lengths are in metres.
 
 Distances are computed in single precision, so that eight nodes or shapes fit one processor instruction. Each kernel is
 compiled for the grid of `distance_field`; its results do not depend on the processor.
@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from greenhouse_gym.common.jit import allocating, inlined, kernel
 from greenhouse_gym.motion.distance_field import BLOCK, CELL, MAX_DEPTH, MAX_DISTANCE, ORIGIN, SHAPE
+from greenhouse_gym.motion.float16_kernels import as_half, half_bits
 
 Float32 = npt.NDArray[np.float32]
 Array = npt.NDArray[np.float64]
@@ -19,21 +20,18 @@ _, _Y, _Z = SHAPE
 _ORIGIN_X, _ORIGIN_Y, _ORIGIN_Z = ORIGIN
 _PART = 4  # nodes per side
 _NODES = _PART**3
-_ZERO, _ONE, _HALF = np.float32(0), np.float32(1), np.float32(0.5)
+_ZERO, _ONE = np.float32(0), np.float32(1)
 _FAR, _DEEP, _NONE = np.float32(MAX_DISTANCE), np.float32(-MAX_DEPTH), np.float32(1e30)
 _BEYOND = np.float32(MAX_DISTANCE + 1e-3)  # farther than what is stored, also after rounding
 _SLACK = 1e-5  # metres, more than single precision rounds off
 _BLOCK_RADIUS = np.float32((BLOCK - 1) / 2 * CELL * np.sqrt(3.0) + _SLACK)
 _PART_RADIUS = np.float32((_PART - 1) / 2 * CELL * np.sqrt(3.0) + _SLACK)
 _NEWTON_STEPS = 9
-# float16 as the bits of a float32: its smallest normal number, the difference of the exponents' biases, the bits lost
-_SMALLEST_NORMAL, _BIAS, _LOST = np.uint32(113 << 23), np.uint32(112 << 23), np.uint32(13)
-_SIGN, _HALF_BITS, _UP_TO_TIES, _ODD = np.uint32(1 << 31), np.uint32(126 << 23), np.uint32(0xFFF), np.uint32(1)
 
 
 @inlined
 def _to_capsule(x, y, z, c):
-    """Return the signed distance of a point to a capsule, given by a tuple of a column of `obstacle_nodes`."""
+    """Return the signed distance of a point to a capsule, given by a tuple of a column of `column_nodes`."""
     dx, dy, dz = x - c[0], y - c[1], z - c[2]
     s = (dx * c[3] + dy * c[4] + dz * c[5]) * c[6]
     s = s if s > _ZERO else _ZERO
@@ -44,7 +42,7 @@ def _to_capsule(x, y, z, c):
 
 @inlined
 def _to_box(x, y, z, b):
-    """Return the signed distance of a point to a box, given by a tuple of a column of `obstacle_nodes`."""
+    """Return the signed distance of a point to a box, given by a tuple of a column of `column_nodes`."""
     dx, dy, dz = x - b[0], y - b[1], z - b[2]
     e = abs(b[6] * dx + b[9] * dy + b[12] * dz) - b[3]
     f = abs(b[7] * dx + b[10] * dy + b[13] * dz) - b[4]
@@ -139,7 +137,7 @@ def _to_others(block_x, block_y, capsules, boxes, nearest):
         np.empty(_NODES, np.float32), np.empty(_NODES, np.float32), np.empty(_NODES, np.float32),
         np.empty(_NODES, np.float32),
     )  # fmt: skip
-    nearest[:] = _as_half(_FAR)
+    nearest[:] = as_half(_FAR)
     for block_z in range(0, _Z, BLOCK):
         half = (BLOCK - 1) / 2
         x = np.float32((block_x + half) * CELL + _ORIGIN_X)
@@ -186,29 +184,7 @@ def _to_others(block_x, block_y, capsules, boxes, nearest):
             for k in range(_NODES):
                 d = best[k] if best[k] > _DEEP else _DEEP
                 a, b, c = part_x - block_x + (k >> 4), part_y - block_y + ((k >> 2) & 3), part_z + (k & 3)
-                nearest[a, b, c] = _as_half(d)
-
-
-@inlined
-def _half_bits(value):
-    """Return the bits of a number as float16, rounded to nearest and ties to even; overflow is not handled."""
-    bits = np.float32(value).view(np.uint32)
-    sign, size = bits & _SIGN, bits & ~_SIGN
-    tiny = np.float32(abs(value) + _HALF).view(np.uint32) - _HALF_BITS
-    normal = (size + _UP_TO_TIES + ((size >> _LOST) & _ODD) - _BIAS) >> _LOST
-    return np.uint32((tiny if size < _SMALLEST_NORMAL else normal) | (sign >> np.uint32(16)))
-
-
-@inlined
-def _as_half(value):
-    """Return a number as float32 after rounding to float16."""
-    bits = np.float32(value).view(np.uint32)
-    sign, size = bits & _SIGN, bits & ~_SIGN
-    if size < _SMALLEST_NORMAL:
-        size = np.float32((abs(value) + _HALF) - _HALF).view(np.uint32)
-    else:
-        size = ((size + _UP_TO_TIES + ((size >> _LOST) & _ODD)) >> _LOST) << _LOST
-    return np.uint32(size | sign).view(np.float32)
+                nearest[a, b, c] = as_half(d)
 
 
 @inlined
@@ -257,8 +233,9 @@ def _to_tomato(
                         ex = base[0, 0] * px + base[0, 1] * py + base[0, 2] * pz + base[0, 3] - center[0]
                         ey = base[1, 0] * px + base[1, 1] * py + base[1, 2] * pz + base[1, 3] - center[1]
                         ez = base[2, 0] * px + base[2, 1] * py + base[2, 2] * pz + base[2, 3] - center[2]
-                        for i in range(3):
-                            memory[i, count] = abs(rotation[0, i] * ex + rotation[1, i] * ey + rotation[2, i] * ez)
+                        for axis in range(3):
+                            a, b, c = rotation[0, axis], rotation[1, axis], rotation[2, axis]
+                            memory[axis, count] = abs(a * ex + b * ey + c * ez)
                         chosen[count] = z
                         count += 1
                 _to_ellipsoid(memory, count, semi_axes)
@@ -298,12 +275,12 @@ def column_nodes(
         boxes: (15, m) center, half extents and rotation base_from_box, by rows, of boxes.
         tomatoes: (t, 4) centers in the base frame and radii.
         stretched: (t,) whether a tomato is an ellipsoid.
-        centers: (t, 3) centers in the scene frame,
-        semi_axes: (t, 3)
-        rotations: and (t, 3, 3) of those.
+        centers: (t, 3) centers of the tomatoes in the scene frame; this and the next two are read of ellipsoids only.
+        semi_axes: (t, 3) their semi-axes.
+        rotations: (t, 3, 3) their rotations in the scene frame.
         scene_from_base: (4, 4) pose of the base.
-        block_x: Its first node along x,
-        block_y: and along y.
+        block_x: First node of the column along x.
+        block_y: First node of the column along y.
         nodes: (`BLOCK`, `BLOCK`, z) the result: `NODE` as whole numbers.
     """
     shape = BLOCK, BLOCK, _Z
@@ -324,5 +301,5 @@ def column_nodes(
             for z in range(_Z):
                 d = first[x, y, z] if first[x, y, z] > _DEEP else _DEEP
                 other = second[x, y, z] if second[x, y, z] > _DEEP else _DEEP
-                both = np.uint64(_half_bits(d) | (_half_bits(other) << np.uint32(16)))
+                both = np.uint64(half_bits(d) | (half_bits(other) << np.uint32(16)))
                 nodes[x, y, z] = both | (np.uint64(tomato[x, y, z] & 0xFFFF) << np.uint64(32))
