@@ -25,7 +25,6 @@ from benchmarks.common import RESULTS, parser, rate, write_results
 from benchmarks.planning.vamp_arm import EXCESS
 from greenhouse_gym.export.primitives import Primitive, roll_pitch_yaw
 from greenhouse_gym.export.problems import vamp
-from greenhouse_gym.export.xml import arm_pose
 from greenhouse_gym.geometry import Array, invert, pose
 from greenhouse_gym.motion.collision import MARGIN, PROOF, CollisionChecker, planning_model
 from greenhouse_gym.motion.kernel_checker import KernelChecker
@@ -35,6 +34,7 @@ from greenhouse_gym.planning.connect import rrt_connect
 from greenhouse_gym.planning.worker import PlannerQuery
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import DIFFICULTIES, CompiledScene, SceneBank, compile_scene
+from greenhouse_gym.scene.mjcf import arm_pose
 
 RANGES = {"own": 0.8, "VAMP": 1.5}
 """Longest motions by which trees grow, radians: both sides' defaults, VAMP's for its UR5."""
@@ -105,7 +105,7 @@ def _problems(split: str, count: int) -> Iterator[Problem]:
 
 def _fixture(compiled: CompiledScene) -> Iterator[Primitive]:
     """Yield the floor and the cart in the frame of the arm's base."""
-    model, base_from_scene = compiled.model, invert(arm_pose(compiled.scene, compiled.robot))  # type: ignore[arg-type]
+    model, base_from_scene = compiled.model, invert(arm_pose(compiled.scene, compiled.robot))
     solid = (model.geom_bodyid == 0) & (model.geom_contype > 0)
     solid[compiled.obstacle_geoms] = False
     for geom in np.flatnonzero(solid).tolist():

@@ -16,11 +16,11 @@ import numpy as np
 import numpy.typing as npt
 
 from benchmarks.common import parser
-from greenhouse_gym.export.xml import arm_pose
 from greenhouse_gym.geometry import Array, invert
 from greenhouse_gym.motion.kernel_checker import kernel_world
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.scene import compile_scene
+from greenhouse_gym.scene.mjcf import arm_pose
 from greenhouse_gym.scene.obstacles import Surroundings
 
 EXCESS = 0.002
@@ -161,7 +161,7 @@ def header(name: str) -> str:
     if world is None:
         raise SystemExit(f"{name} does not consist of capsules and spheres")
     table, capsules, pairs = world[:3]
-    to_base = invert(arm_pose(empty, arm))  # type: ignore[arg-type]
+    to_base = invert(arm_pose(empty, arm))
     code = _Code()
     frames = _frames(code, table, to_base)
     rows = [_covering(row) for row in capsules]

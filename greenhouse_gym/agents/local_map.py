@@ -14,8 +14,6 @@ from greenhouse_gym.geometry import (
     distance_to_nearest,
     distance_to_shapes,
     invert,
-    pose,
-    rotation_about,
     transform,
 )
 from greenhouse_gym.geometry.shape_arrays import BOX
@@ -23,7 +21,7 @@ from greenhouse_gym.motion.arm_spheres import arm_spheres
 from greenhouse_gym.motion.caution import unexplained_cells
 from greenhouse_gym.rendering.cameras import DepthCamera
 from greenhouse_gym.scene import Scene
-from greenhouse_gym.scene.mjcf import base_position
+from greenhouse_gym.scene.mjcf import arm_pose
 from greenhouse_gym.scene.occupancy import FREE, OCCUPIED, UNKNOWN, OccupancyGrid, boxes_around_points
 
 CLEARANCE = 0.002
@@ -60,9 +58,7 @@ class LocalMap:
     def __init__(
         self, problem: Problem, target: Array, camera: DepthCamera, unexplained: bool = False, noisy: bool = False
     ):
-        self._scene_from_base = pose(
-            rotation_about([0, 0, 1], problem.scene.placement.yaw), base_position(problem.scene, problem.robot)
-        )
+        self._scene_from_base = arm_pose(problem.scene, problem.robot)
         self._base_from_scene = invert(self._scene_from_base)
         scene = _with_free_aisle(problem.scene, self._base_from_scene)
         self._unexplained = unexplained_cells(scene) if unexplained and scene.occupancy is not None else None

@@ -241,7 +241,8 @@ class _Harvest:
                 trailing = True
                 continue
             done += 1
-            if (not trailing and self._stops(change)) or (vacuum and np.linalg.norm(hand.force) > _BLOCKED):
+            stopped = not trailing and self._stand.stops(hand.command, change)
+            if stopped or (vacuum and np.linalg.norm(hand.force) > _BLOCKED):
                 return
             resisted = hand.resisted
             yield self._action(change, vacuum)
@@ -257,13 +258,9 @@ class _Harvest:
         for twist in gently(hand, twists):
             change = hand.towards(twist)
             blocked = (hand.deflection > _PRESSED and not hand.holds) or hand.resisted > _RESISTED
-            if blocked or self._stops(change):
+            if blocked or self._stand.stops(hand.command, change):
                 return
             yield self._action(change, True)
-
-    def _stops(self, change: Array) -> bool:
-        """Return whether a change of the commands brings the arm near itself, its cart, the crate or a string."""
-        return self._stand.stops(self._hand.command, change)
 
     def _follow(self, commands: list[Array], vacuum: bool, watching: bool = False) -> Generator[Action, None, bool]:
         """Follow commands until something is in the way, from which the arm goes back; return whether it gets there.

@@ -18,12 +18,12 @@ from greenhouse_gym.envs.state import SUBSTEPS
 from greenhouse_gym.envs.stepping import drive_and_record
 from greenhouse_gym.envs.world import World
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.geometry import Array, invert, pose, rotation_about, transform
+from greenhouse_gym.geometry import Array, invert, pose, transform
 from greenhouse_gym.motion.collision import LEAVES
 from greenhouse_gym.motion.distance_field import FieldStore
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import CompiledScene, Scene, Shapes, compile_scene
-from greenhouse_gym.scene.mjcf import MAX_CAPACITY, base_position, make_yielding
+from greenhouse_gym.scene.mjcf import MAX_CAPACITY, arm_pose, make_yielding
 from greenhouse_gym.scene.obstacles import Surroundings
 from greenhouse_gym.scene.plant_motion import move_plants
 from greenhouse_gym.scene.plants.layout import Layout
@@ -110,7 +110,7 @@ class Worlds:
         plants = move_plants(true, motion, np.random.default_rng(seed))
         parts = {name: getattr(plants, name) for name in ("tomatoes", "stems", "clutter")}
         moved = true.model_copy(update=parts)
-        scene_from_base = _scene_from_base(world.scene, self.robot)
+        scene_from_base = arm_pose(world.scene, self.robot)
         return replace(
             world,
             compiled=self._compile(moved),
@@ -155,7 +155,7 @@ class Worlds:
         if self.leaves == "brush":
             solid = solid.select(np.delete(np.arange(scene.count), scene.leaves))
         return self.fields.add(
-            solid, scene.counts[0], _scene_from_base(scene, self.robot) @ pose(translation=[0.0, along, 0.0])
+            solid, scene.counts[0], arm_pose(scene, self.robot) @ pose(translation=[0.0, along, 0.0])
         )
 
     def _compile(self, scene: Surroundings) -> CompiledScene:
@@ -167,7 +167,7 @@ class Worlds:
     def _make(self, scene: Scene) -> World:
         physical = true_scene(scene) if self.physics == "truth" else scene
         self._check_size(physical)
-        scene_from_base = _scene_from_base(scene, self.robot)
+        scene_from_base = arm_pose(scene, self.robot)
         tomatoes, bodies_there = (spheres_in_base(s, scene_from_base) for s in (scene, physical))
         if physical is scene:
             bodies = np.arange(len(tomatoes))
@@ -206,11 +206,6 @@ def _remove_fields(store: FieldStore, along: dict[tuple[int, int], int], field: 
 def _with_slots(spec: mujoco.MjSpec, layout: Layout, record: Callable[[mujoco.MjSpec], None]) -> None:
     record(spec)
     layout.add(spec)
-
-
-def _scene_from_base(scene: Scene, robot: Robot) -> Array:
-    """Return the pose (4, 4) of the arm's base in the scene."""
-    return pose(rotation_about([0, 0, 1], scene.placement.yaw), base_position(scene, robot))
 
 
 def spheres_in_base(scene: Shapes, scene_from_base: Array) -> Array:

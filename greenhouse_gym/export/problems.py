@@ -16,12 +16,11 @@ import numpy as np
 
 from greenhouse_gym.common.files import write_atomically
 from greenhouse_gym.export.primitives import Primitive, primitives, without_capsules, without_ellipsoids
-from greenhouse_gym.export.xml import arm_pose
 from greenhouse_gym.geometry import Array, invert, pose, quaternions_from
 from greenhouse_gym.planning import goal_configurations
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import Scene
-from greenhouse_gym.scene.mjcf import compile_scene
+from greenhouse_gym.scene.mjcf import arm_pose, compile_scene
 
 GOALS = 10
 """Goal configurations of a problem, in addition to the end of the target's witness."""

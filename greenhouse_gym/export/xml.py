@@ -18,11 +18,11 @@ from greenhouse_gym.export.primitives import (
     without_capsules,
     without_ellipsoids,
 )
-from greenhouse_gym.geometry import Array, pose, rotation_about
+from greenhouse_gym.geometry import Array, pose
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.robots.robot import TIP_SITE
 from greenhouse_gym.scene import Scene
-from greenhouse_gym.scene.mjcf import base_position
+from greenhouse_gym.scene.mjcf import arm_pose
 
 _KINDS: dict[int, Kind] = {
     int(mujoco.mjtGeom.mjGEOM_SPHERE): "sphere",
@@ -147,11 +147,6 @@ def _part(model: mujoco.MjModel, geom: int) -> Primitive:
 
 def _pose(position: Array, quaternion: Array) -> Array:
     return pose(Rotation.from_quat(quaternion, scalar_first=True).as_matrix(), position)
-
-
-def arm_pose(scene: Scene, robot: Robot) -> Array:
-    """Return the pose (4, 4) of the arm's base in the scene, without the rotation in the arm's own file."""
-    return pose(rotation_about([0.0, 0.0, 1.0], scene.placement.yaw), base_position(scene, robot))
 
 
 def urdf(scene: Scene, robot: Robot) -> bytes:

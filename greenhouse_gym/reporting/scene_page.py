@@ -11,11 +11,12 @@ import numpy as np
 from scipy.ndimage import binary_dilation
 
 from greenhouse_gym.export.primitives import Primitive, primitives
-from greenhouse_gym.export.xml import arm_pose, links_of
+from greenhouse_gym.export.xml import links_of
 from greenhouse_gym.geometry import Array, pose
 from greenhouse_gym.reporting.pages import render
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import Scene
+from greenhouse_gym.scene.mjcf import arm_pose
 from greenhouse_gym.scene.occupancy import OCCUPIED, UNKNOWN
 
 _TRUTH_COLOR = (0.20, 0.35, 0.80)

@@ -18,6 +18,7 @@ import numpy as np
 
 from greenhouse_gym.crops.parts import STEM_KINDS
 from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.geometry import Array, pose, rotation_about
 from greenhouse_gym.robots import Robot, get_robot
 from greenhouse_gym.robots.robot import CUP_GEOM, TIP_SITE, slides
 from greenhouse_gym.robots.start import CART_HALF_WIDTH, cart_drop
@@ -259,6 +260,11 @@ def _compiled(spec: mujoco.MjSpec, scene: Surroundings, arm: Robot, count: int) 
 def base_position(scene: Surroundings, robot: Robot) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
     """Return the position (3,) of the arm's base in the scene, metres: below the shoulder of its placement."""
     return np.asarray(scene.placement.position + [0.0, 0.0, scene.placement.shoulder_height - robot.shoulder_height])
+
+
+def arm_pose(scene: Surroundings, robot: Robot) -> Array:
+    """Return the pose (4, 4) of the arm's base in the scene, without the rotation in the arm's own file."""
+    return pose(rotation_about([0.0, 0.0, 1.0], scene.placement.yaw), base_position(scene, robot))
 
 
 def _has_column(scene: Surroundings, robot: Robot) -> bool:

@@ -58,6 +58,17 @@ def test_arms_begin_alike_on_warp(start: str | None) -> None:
         np.testing.assert_allclose(found, robot.rating_start if upright else robot.start, atol=1e-6, err_msg=name)
 
 
+def test_a_start_that_is_asked_for_stays_on_warp_and_for_one_episode() -> None:
+    robot = get_robot("ur5e")
+    settings: dict[str, Any] = {"split": "test", "physics": "truth", "scene": TOUCHED}
+    envs = gymnasium.make_vec("TomatoReach-v0", num_envs=2, backend="warp", **settings)
+    joints = envs.unwrapped.simulation.state.joints  # type: ignore[attr-defined]
+    envs.reset(seed=0, options=[{"start": "ready"}, {"start": robot.rating_start + 0.1}])
+    np.testing.assert_allclose(joints.numpy(), [robot.start, robot.rating_start + 0.1], atol=1e-6)
+    envs.reset(seed=0)
+    np.testing.assert_allclose(joints.numpy(), [robot.rating_start] * 2, atol=1e-6)
+
+
 def test_only_one_shipped_scene_touches_the_arm() -> None:
     bank = SceneBank.open("default")
     near = [name for name in bank.names("test") if name.startswith(TOUCHED[:-3])]

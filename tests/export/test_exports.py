@@ -16,11 +16,11 @@ from greenhouse_gym.errors import InvalidValueError, MissingDependencyError, Unk
 from greenhouse_gym.export import FORMATS, export_scene
 from greenhouse_gym.export.primitives import Primitive, mesh_of, primitives, without_capsules
 from greenhouse_gym.export.problems import FRAME
-from greenhouse_gym.export.xml import arm_pose
 from greenhouse_gym.geometry import Array, Capsule, distance_to_shapes, transform
 from greenhouse_gym.planning import CollisionChecker, certify_targets, planning_model
 from greenhouse_gym.robots import Robot, get_robot
 from greenhouse_gym.scene import Scene, compile_scene
+from greenhouse_gym.scene.mjcf import arm_pose
 from greenhouse_gym.scene.obstacles import ArmPlacement
 
 

@@ -16,14 +16,14 @@ from greenhouse_gym.envs.episodes import UNRATED, EpisodeSampler
 from greenhouse_gym.envs.warp.arm import Ints, matrix
 from greenhouse_gym.envs.worlds import spheres_in_base
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.geometry import Array, Box, ShapeArrays, arrays_of, pose, rotation_about, transform
+from greenhouse_gym.geometry import Array, Box, ShapeArrays, arrays_of, transform
 from greenhouse_gym.geometry.distances import distance_to_nearest
 from greenhouse_gym.geometry.shape_arrays import BOX, CAPSULE, SPHERE
 from greenhouse_gym.motion.arm_spheres import arm_spheres
 from greenhouse_gym.motion.distance_field import NODE, SHAPE, obstacle_field
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import DIFFICULTIES, ArmPlacement, Provenance, Scene, compile_scene
-from greenhouse_gym.scene.mjcf import base_position
+from greenhouse_gym.scene.mjcf import arm_pose
 from greenhouse_gym.scene.obstacle_slots import MIN_LENGTH
 from greenhouse_gym.scene.truth import own_start, true_scene
 
@@ -228,7 +228,7 @@ def _placement(written: str, robot: Robot) -> _Placement:
     model = compiled.model
     fixtures = range(model.geom("floor").id + 1, compiled.obstacle_geoms.start)
     return _Placement(
-        pose(rotation_about([0, 0, 1], placement.yaw), base_position(scene, robot)),
+        arm_pose(scene, robot),
         matrix(model.body_quat[1]),
         float(model.geom("floor").pos[2]),
         arrays_of([Box(model.geom_pos[g], model.geom_size[g], matrix(model.geom_quat[g])) for g in fixtures]),
