@@ -146,10 +146,21 @@ class _Stream:
                 continue
             stalls = 0
             depth, color = both.get_depth_frame(), both.get_color_frame()
-            if depth and color:
+            if depth and color and _of_one_moment(depth, color):
                 pair = replace(self.pair, depth_scale=depth.get_units())
                 images = np.array(color.get_data()), np.array(depth.get_data())  # the SDK reuses its buffers
                 yield color.get_timestamp() / 1000, pair.frame(*images, self.name)
+
+
+def _of_one_moment(depth: Any, color: Any) -> bool:
+    """Return whether two frames were taken together, if one clock tells.
+
+    Where one stream lags, as on a busy machine, the SDK pairs its newest frame with one of the other stream that it has
+    given out before.
+    """
+    if depth.get_frame_timestamp_domain() != color.get_frame_timestamp_domain():
+        return True
+    return bool(abs(depth.get_timestamp() - color.get_timestamp()) <= 1000 * _SAME_MOMENT)
 
 
 @contextmanager

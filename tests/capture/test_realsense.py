@@ -5,14 +5,20 @@ from __future__ import annotations
 import ctypes
 import subprocess
 import sys
+from itertools import islice
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 from typer.testing import CliRunner
 
 from greenhouse_gym.capture import RgbdFrame, open_recording
-from greenhouse_gym.capture.realsense import realsense_cameras
+from greenhouse_gym.capture.formats.single_camera import Lens, Pair
+from greenhouse_gym.capture.realsense import _Stream, realsense_cameras
+from greenhouse_gym.capture.rig import Intrinsics
 from greenhouse_gym.cli import app
 from greenhouse_gym.errors import CameraError, FileFormatError
 
@@ -114,6 +120,41 @@ def test_the_command_records_what_is_played_back(file: Path, tmp_path: Path) -> 
     assert "station 0" in asked.output
     recording = open_recording(tmp_path / "row")
     number_of(recording[0].frames["camera"])
+
+
+@pytest.mark.parametrize(("late", "kept"), [(0.0, 2), (20.0, 2), (33.0, 1)])
+def test_frames_of_different_moments_are_no_pair(late: float, kept: int) -> None:
+    def frame(image: npt.NDArray[Any], timestamp: float, domain: str = "hardware") -> SimpleNamespace:
+        return SimpleNamespace(
+            get_data=lambda: image,
+            get_timestamp=lambda: timestamp,
+            get_frame_timestamp_domain=lambda: domain,
+            get_units=lambda: 0.001,
+        )
+
+    def moment(depth: SimpleNamespace, color: SimpleNamespace) -> SimpleNamespace:
+        return SimpleNamespace(get_depth_frame=lambda: depth, get_color_frame=lambda: color)
+
+    depth, color = np.full((48, 64), 500, np.uint16), np.zeros((48, 64, 3), np.uint8)
+    sent = iter(
+        [
+            moment(frame(depth, 1000.0 + late), frame(color, 1000.0)),
+            moment(frame(depth, 5000.0), frame(color, 1033.0, "another clock")),
+        ]
+    )
+
+    def wait_for_frames(timeout: int) -> SimpleNamespace:
+        found = next(sent, None)
+        if found is None:
+            raise RuntimeError("no frame")
+        return found
+
+    lens = Lens(Intrinsics(64, 48, 50.0, 50.0, 31.5, 23.5))
+    stream = _Stream("camera", SimpleNamespace(wait_for_frames=wait_for_frames), Pair.of(lens, lens, np.eye(4)))
+    frames = stream.frames()
+    assert [time for time, _ in islice(frames, kept)] == [1.0, 1.033][-kept:]
+    with pytest.raises(CameraError, match="sends no more images"):
+        next(frames)
 
 
 def test_no_camera_and_no_file_are_reported(tmp_path: Path) -> None:
