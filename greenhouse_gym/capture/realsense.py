@@ -153,7 +153,7 @@ class _Stream:
 
 
 def _of_one_moment(depth: Any, color: Any) -> bool:
-    """Return whether two frames were taken together, if one clock tells.
+    """Return whether two frames were taken together, as far as one clock measured both.
 
     Where one stream lags, as on a busy machine, the SDK pairs its newest frame with one of the other stream that it has
     given out before.

@@ -1,4 +1,4 @@
-"""Choice of the cut through a piece of a leaf, compiled."""
+"""Choice of the box around a piece of a leaf, and of the cut through it, compiled."""
 
 from __future__ import annotations
 
@@ -86,3 +86,19 @@ def best_cut(
                 if volume < best:
                     axis, position, best = k, at, volume
     return axis, position
+
+
+@kernel("i8(f8[:,::1], f8[:,::1])")
+def smallest_rectangle(x: Array, y: Array) -> int:
+    """Return the index of the frame in which the bounding rectangle of points is smallest.
+
+    Args:
+        x: (n, k) coordinates of n points along one side, in k frames.
+        y: (n, k) coordinates along the other side.
+    """
+    low_x, high_x, low_y, high_y = x[0].copy(), x[0].copy(), y[0].copy(), y[0].copy()
+    for i in range(1, len(x)):
+        for k in range(x.shape[1]):
+            low_x[k], high_x[k] = min(low_x[k], x[i, k]), max(high_x[k], x[i, k])
+            low_y[k], high_y[k] = min(low_y[k], y[i, k]), max(high_y[k], y[i, k])
+    return int(np.argmin((high_x - low_x) * (high_y - low_y)))

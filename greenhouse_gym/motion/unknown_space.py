@@ -19,6 +19,7 @@ from greenhouse_gym.errors import InvalidValueError, is_number, require_choice
 from greenhouse_gym.geometry import Array, ShapeArrays, bounding_balls, distance_to_shapes
 from greenhouse_gym.motion.collision import CollisionChecker, planning_model
 from greenhouse_gym.motion.joint_reaches import arm_reaches
+from greenhouse_gym.motion.kernel_checker import search_checker
 from greenhouse_gym.motion.path import along_path
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.robots.kinematics import Chain, tool_chain, tool_state
@@ -108,7 +109,7 @@ def unknown_lengths(scene: Scene, robot: Robot, paths: Sequence[Array]) -> list[
     first = compiled.obstacle_geoms.start + tomatoes + stems
     known = slice(first, first + clutter)
     model.geom_contype[known] = model.geom_conaffinity[known] = 0
-    checker = CollisionChecker(model, arm_reaches(robot))
+    checker = search_checker(model, arm_reaches(robot))
     chain = tool_chain(compiled.model, compiled.tip_site)
     return [_unknown_and_whole(checker, chain, np.asarray(path)) for path in paths]
 
@@ -116,7 +117,7 @@ def unknown_lengths(scene: Scene, robot: Robot, paths: Sequence[Array]) -> list[
 def _unknown_and_whole(checker: CollisionChecker, chain: Chain, path: Array) -> tuple[float, float]:
     """Return both lengths of a path by a checker for which only unknown space is an obstacle."""
     configurations = along_path(path, checker.reaches, _RESOLUTION)
-    inside = np.array([not checker.is_free(q) for q in configurations])
+    inside = ~checker.are_free(configurations)
     steps = np.linalg.norm(np.diff(tool_state(chain, configurations, 0.0).point, axis=0), axis=-1)
     return float(steps[inside[:-1] | inside[1:]].sum()), float(steps.sum())
 
