@@ -35,9 +35,7 @@ CARD = Template("""\
 
 `default` is the bank that environments, planners and benchmarks use by default; `mini` holds one scene of each kind of
 row of it, for tests. Both are data only. This card is written by `python -m benchmarks.bank_card`, the banks by
-`greenhouse-gym build-shipped`, the leaves of their truth once more by a script that git history keeps; nothing here is
-edited by hand. Earlier versions of the package found these shapes; built again, scenes have the same tomatoes and a few
-more stems. `greenhouse-gym bank check` replays every witness.
+`greenhouse-gym build-shipped`; nothing here is edited by hand. `greenhouse-gym bank check` replays every witness.
 
 ## How a scene is made
 
@@ -49,13 +47,13 @@ Nothing in it is real, and nothing was placed by hand.$progress
 Every scene holds the reconstruction, which an agent knows (at most $primitives shapes within $width m along the row),
 the truth (everything within $reach m of the shoulder; the leaves of Helios' plants as boxes within $leaves mm of them),
 the occupancy grid of the space around the arm, and targets: at most $targets tomatoes, spread over their distances from
-the shoulder. Where the arm's start would touch the true plants, there is no scene, or, in one whose leaves were cut
-into boxes a second time, the arm begins upright. A recording's row keeps its name in all weeks, and a row is in one
-split only.
+the shoulder. Where the arm, ready or upright, would touch the true plants, there is no scene. A recording's row keeps
+its name in all weeks, and a row is in one split only.
 
 ## Difficulty
 
-By collision checks, so that it does not depend on the machine, and in the reconstruction, with unknown space as free:
+By collision checks, so that it does not depend on the machine, from the start `ready` and in the reconstruction, with
+unknown space as free:
 
 - **easy**: a straight joint motion to one of up to $goals goal configurations is free.
 - **medium**: RRTConnect needs no more than $hard checks, in the median over $seeds seeds.
@@ -64,7 +62,7 @@ By collision checks, so that it does not depend on the machine, and in the recon
 - **unreachable**: no goal configuration among $samples random ones, or no run finds a path. That is no proof.
 
 A target's certificate holds its goal configurations, the checks (medium and hard), the clearance of its witness, and
-the fraction of the witness's path in unknown space.
+the fraction of the witness's path in unknown space. Every target is rated once more with leaves that give way.
 
 ![Targets by difficulty, style and source](difficulty.png)
 

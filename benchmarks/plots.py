@@ -259,7 +259,7 @@ def unknown() -> Figure:
     figure, panels = plt.subplots(1, 2, figsize=(8, 4.2), sharey=True)
     scenes = {
         "own row, upright beam": "own-cluster-2000-w00-02",
-        "Helios row, upright beam": "helios-dense-2003-w03-02",
+        "Helios row, upright beam": "helios-dense-2003-w03-01",
     }
     colors = ListedColormap(["#8b8f94", "#f4f1e8", "#2e9e5b"])
     for axes, (title, name) in zip(panels, scenes.items(), strict=True):

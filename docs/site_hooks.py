@@ -20,7 +20,7 @@ sys.path.insert(0, str(ROOT / "docs"))
 from generated import insert_tables  # noqa: E402
 
 RESULTS = "benchmarks/results"
-SCENES = {"own": "own-cherry-2002-w10-01", "dense": "helios-dense-2003-w03-02"}
+SCENES = {"own": "own-cherry-2002-w10-01", "dense": "helios-dense-2003-w03-01"}
 """Scenes of the bank `mini` that the gallery shows in 3-D, by the name of their page."""
 
 LIGHT_PLOT = re.compile(r"(!\[[^\]]*\]\([^)]*)-light\.svg\)")

@@ -5,7 +5,7 @@ python -m benchmarks.agents.cells runs/lesson_lengths/*.json --kinds alone
 python -m benchmarks.agents.cells runs/*.json --kinds alone --split validation --cells "helios, easy" "helios, medium"
 
 Without arguments, measures all shipped policies. Rows as scanned, 500 episodes a cell with seeds from 20,000, from the
-start `ready`. Policies are chosen on validation rows, which are of Helios only. Alone, policies on the observation
+start `ready`. Policies are chosen on validation rows (`--split validation`). Alone, policies on the observation
 `state` play these episodes on the Warp kernels. A finished cell is not measured again. Takes seconds for a policy on
 the kernels, and four minutes for one behind the shield.
 """

@@ -20,6 +20,7 @@ from greenhouse_gym.common.files import checked_name, exclusive, parsing, read_b
 from greenhouse_gym.common.progress import say
 from greenhouse_gym.errors import FileFormatError, GreenhouseError, InvalidValueError, NoPlacementError
 from greenhouse_gym.planning import certify_targets
+from greenhouse_gym.planning.rated_banks import with_brush_certificates
 from greenhouse_gym.reconstruction import reconstruct_row, settings_for
 from greenhouse_gym.scene import Provenance, Scene, SceneBank
 from greenhouse_gym.scene.bank import write_bank
@@ -215,7 +216,7 @@ def _certified(piece: tuple[Scene, BuildSettings]) -> Scene:
     targets = certify_targets(
         scene, settings.robot, max_targets=settings.max_targets, min_radius=settings.min_target_radius
     )
-    return scene.model_copy(update={"targets": targets})
+    return with_brush_certificates(scene.model_copy(update={"targets": targets}), settings.robot)
 
 
 def _is_certified(folder: Path, scene: Scene) -> bool:

@@ -87,7 +87,12 @@ class Robot:
 
     @property
     def rating_start(self) -> Array:
-        """(n,) start from which targets are rated and witnesses lead: ``upright`` if the arm has it, else its own."""
+        """(n,) start from which targets are rated and witnesses lead: ``ready`` if the arm has it, else its own."""
+        return self.starts.get("ready", self.start)
+
+    @property
+    def upright_start(self) -> Array:
+        """(n,) start that keeps away from plants: ``upright`` if the arm has it, else its own."""
         return self.starts.get("upright", self.start)
 
     @property

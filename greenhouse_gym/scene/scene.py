@@ -31,7 +31,7 @@ class BrushCertificate(Part):
     """
 
     difficulty: Difficulty
-    witness: tuple[tuple[float, ...], ...] | None = Field(default=None, repr=False)
+    witness: tuple[tuple[float, ...], ...] | None = Field(default=None, repr=False, exclude_if=is_none)
     leaves: int = Field(default=0, ge=0)
 
 

@@ -43,7 +43,7 @@ def without_plants(scene: Scene) -> Scene:
 
 
 def start_is_collision_free(scene: Scene, robot: str | Robot) -> bool:
-    """Return whether an arm touches no plant of the true row at its own start and at `Robot.rating_start`.
+    """Return whether an arm touches no plant of the true row at its own start, when ready and when upright.
 
     People who put up an arm see the plants and do not place it inside them, whatever the scan shows.
 
@@ -54,17 +54,18 @@ def start_is_collision_free(scene: Scene, robot: str | Robot) -> bool:
     if scene.truth is None or not scene.truth.counts[0]:
         return True
     compiled = compile_scene(true_scene(scene), robot)
-    return not any(is_in_plants(compiled, q) for q in (compiled.robot.start, compiled.robot.rating_start))
+    arm = compiled.robot
+    return not any(is_in_plants(compiled, start) for start in (arm.start, arm.rating_start, arm.upright_start))
 
 
 def own_start(compiled: CompiledScene) -> Array:
     """Return the start (joints,) of an arm in a true row, radians.
 
-    It is `Robot.rating_start` where the arm's own start would touch plants: scenes are not chosen for every arm, and
+    It is `Robot.upright_start` where the arm's own start would touch plants: scenes are not chosen for every arm, and
     plants move.
     """
     robot = compiled.robot
-    return robot.rating_start if is_in_plants(compiled, robot.start) else robot.start
+    return robot.upright_start if is_in_plants(compiled, robot.start) else robot.start
 
 
 def is_in_plants(compiled: CompiledScene, configuration: Array) -> bool:

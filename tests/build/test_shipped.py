@@ -26,9 +26,9 @@ from greenhouse_gym.scene.truth import start_is_collision_free
 def test_the_recipe_is_as_large_and_varied_as_it_says() -> None:
     recordings = list(shipped.row_recordings())
     rows = {recording.row: recording for recording in recordings}
-    assert len({recording.name for recording in recordings}) == len(recordings) == 60
-    assert len(rows) == 48
-    assert Counter(recording.split for recording in rows.values()) == {"train": 34, "validation": 5, "test": 9}
+    assert len({recording.name for recording in recordings}) == len(recordings) == 62
+    assert len(rows) == 51
+    assert Counter(recording.split for recording in rows.values()) == {"train": 34, "validation": 8, "test": 9}
     assert all(rows[recording.row].split == recording.split for recording in recordings)
     assert {recording.week for recording in recordings} == set(range(12))
     assert {(recording.source, recording.style) for recording in recordings} == {
@@ -40,7 +40,7 @@ def test_the_recipe_is_as_large_and_varied_as_it_says() -> None:
         assert recording.seed >= 2000
 
 
-@pytest.mark.parametrize("split", ["train", "test"])
+@pytest.mark.parametrize("split", SPLITS)
 def test_every_split_has_both_sources_and_all_styles(split: str) -> None:
     mine = [recording for recording in shipped.row_recordings() if recording.split == split]
     assert {recording.source for recording in mine} == {"own", "helios"}
@@ -53,9 +53,8 @@ def made_up_part(recording: RowRecording, parts: Path, description: str) -> Path
     )
     scenes = [
         make_scene(k).model_copy(update={"name": f"{recording.name}-{k:02d}", "provenance": provenance})
-        for k in range(2)
+        for k in range(4)
     ]
-    scenes[0] = scenes[0].model_copy(update={"targets": ()})
     return write_bank(parts / recording.name, [(scene, recording.split) for scene in scenes], recording.name).path
 
 
@@ -64,13 +63,14 @@ def test_parts_are_joined_in_order_and_a_part_of_them_too(tmp_path: Path, monkey
     for recording in (recordings[9], recordings[0], recordings[1], recordings[4]):
         made_up_part(recording, tmp_path, "")
     default, mini = shipped.join_parts(tmp_path, tmp_path / "out")
-    assert default.names() == [f"{recordings[k].name}-{i:02d}" for k in (0, 1, 4, 9) for i in range(2)]
-    assert mini.names() == [f"{recordings[k].name}-01" for k in (0, 4, 9)]  # of the first week, with targets
-    assert set(mini.names()) <= set(SceneBank.open(tmp_path / "out" / "default").names())
+    assert default.names() == [f"{recordings[k].name}-{i:02d}" for k in (0, 1, 4, 9) for i in range(4)]
+    assert mini.names() == [name for name in shipped.MINI_SCENES if name in default.names()]
+    assert len(mini) == 3
     monkeypatch.setattr(shipped, "build_part", made_up_part)
     with ThreadPoolExecutor(2) as executor:
         default, mini = shipped.build_shipped_banks(tmp_path / "out", tmp_path, executor)
-    assert len(default) == 2 * len(recordings)
+    assert len(default) == 4 * len(recordings)
+    assert mini.names() == list(shipped.MINI_SCENES)
     assert len(mini) == len(KINDS)
     assert {entry.style for entry in mini.manifest.scenes} == set(STYLES)
     assert {entry.source for entry in mini.manifest.scenes} == {"own", "helios"}
@@ -121,7 +121,7 @@ def test_a_training_bank_resumes_and_is_equal_on_any_executor(tmp_path: Path, mo
     with ThreadPoolExecutor(2) as executor:
         other = build_training_bank(tmp_path / "other" / "bank", rows, executor)
     assert other.manifest == bank.manifest
-    assert len(bank.names("train")) == len(bank) == 8
+    assert len(bank.names("train")) == len(bank) == 16
     assert sorted(path.suffix for path in (tmp_path / "bank").iterdir() if path.is_dir()) == []
 
     def rebuilt(recording: RowRecording, parts: Path, description: str) -> Path:
@@ -163,46 +163,28 @@ def test_rows_that_cannot_be_used_are_left_out_and_told(
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize("count", [8, pytest.param(100, marks=pytest.mark.slow)])
 def test_ratings_of_shipped_targets_are_found_again(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Some were once unreachable only because the planner had died while they were rated.
-
-    OMPL's RRTConnect and an older inverse kinematics made the ratings; today's need other checks, but as many in the
-    mean.
-    """
+    """Some were once unreachable only because the planner had died while they were rated."""
     monkeypatch.setattr(planner_run, "shared_worker", lambda: pytest.fail("OMPL was asked"))
     bank = SceneBank.open("default")
     pool = [(name, target) for name in bank.names() for target in bank.scene(name).targets if target.goals]
-    agreeing, goals = 0, []
+    agreeing = 0
     for name, target in (pool[k] for k in np.random.default_rng(count).permutation(len(pool))[:count]):
         found = certify_target(compile_scene(bank.scene(name), get_robot(target.robot)), target.tomato)
         assert (found.witness is None) == (target.witness is None), name
-        agreeing += found.difficulty == target.difficulty
-        goals.append((target.goals, found.goals))
-    assert agreeing >= 0.9 * count
-    before, now = np.sum(goals, axis=0)
-    assert now == pytest.approx(before, rel=0.05)
+        agreeing += found == target.model_copy(update={"unknown": None, "brush": None})
+    assert agreeing >= 0.98 * count, "another processor may round otherwise"
 
 
 @pytest.mark.slow
-def test_shipped_arms_begin_in_no_true_plants_but_one() -> None:
-    """The leaves of one scene, cut into boxes again after it was built, reach to the arm's own start."""
-    touched = [scene.name for scene in SceneBank.open("default") if not start_is_collision_free(scene, "ur5e")]
-    assert touched == ["helios-beefsteak-2009-w09-03"]
+def test_shipped_arms_begin_in_no_true_plants() -> None:
+    assert not [scene.name for scene in SceneBank.open("default") if not start_is_collision_free(scene, "ur5e")]
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
 def test_a_shipped_recording_is_built_again(tmp_path: Path) -> None:
-    """An earlier extraction of shapes made the bank; today's finds the same tomatoes at the same placements."""
     recording = next(shipped.row_recordings())
     made, bank = SceneBank.open(build_part(recording, tmp_path, shipped.DESCRIPTION)), SceneBank.open("default")
     assert made.names() == [name for name in bank.names() if name.startswith(f"{recording.name}-")]
     for name in made.names():
-        now, before = made.scene(name), bank.scene(name)
-        assert now.placement.model_dump_json() == before.placement.model_dump_json()
-        assert now.truth is not None
-        assert before.truth is not None
-        assert now.truth.counts == before.truth.counts
-        one, other = (np.array([tomato.center for tomato in scene.tomatoes]) for scene in (now, before))
-        apart = np.linalg.norm(one[:, None] - other[None], axis=2)
-        assert np.mean(apart.min(axis=0) < 0.005) > 0.95
-        assert np.mean(apart.min(axis=1) < 0.005) > 0.95
+        assert made.scene(name).model_dump_json() == bank.scene(name).model_dump_json(), name

@@ -122,7 +122,7 @@ def test_clearance_is_the_distance_of_all_pairs(compiled: CompiledScene) -> None
     arm = [g for g in range(model.ngeom) if model.geom_bodyid[g] > 0]
     cup, target = compiled.cup_geom, compiled.tomato_geom(TARGET)
     pairs = [(a, int(o)) for a in arm for o in obstacles if (a, o) != (cup, target)]
-    start = compiled.robot.rating_start
+    start = compiled.robot.upright_start
     compared = 0
     for q in start + np.random.default_rng(1).uniform(-1, 1, (60, 6)):
         data.qpos[:] = q
@@ -208,7 +208,7 @@ def test_an_unknown_tomato_is_named(compiled: CompiledScene) -> None:
 
 
 def test_the_clearance_of_a_path_is_that_of_all_its_configurations(compiled: CompiledScene) -> None:
-    rng, start, reaches = np.random.default_rng(5), compiled.robot.rating_start, arm_reaches(compiled.robot)
+    rng, start, reaches = np.random.default_rng(5), compiled.robot.upright_start, arm_reaches(compiled.robot)
     model = planning_model(compiled, TARGET, margin=0.0, pairs=("tomatoes", "stems", "clutter"))
     target = compiled.tomato_geom(TARGET)
     model.geom_contype[target] = model.geom_conaffinity[target] = 0

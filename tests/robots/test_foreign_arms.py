@@ -122,7 +122,7 @@ def test_a_ready_start_is_found_for_any_arm(name: str, tmp_path: Path) -> None:
     axis = tool_state(tool_chain(model, model.site("tip").id), robot.start[None]).axis[0]
     assert axis[0] > 0.8  # forward
     assert 0.1 < ahead_of_base(model, robot.start) < 0.3
-    assert robot.rating_start is robot.start  # it has no other
+    assert robot.rating_start is robot.upright_start is robot.start  # it has no other
     np.testing.assert_array_equal(load_robot(robot.path, start="ready").start, robot.start)
 
 

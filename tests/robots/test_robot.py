@@ -280,7 +280,8 @@ def test_an_arm_is_ready_at_its_start(robot: Robot) -> None:
     assert tool.axis[0, 0] > 0.85  # forward
     assert 0.05 < tool.point[0, 0] < 0.2
     assert ahead_of_base(model, robot.start) < 0.25
-    np.testing.assert_array_equal(robot.rating_start, robot.starts["upright"])
+    np.testing.assert_array_equal(robot.upright_start, robot.starts["upright"])
+    assert robot.rating_start is robot.starts["ready"]
     assert np.array_equal(robot.start, robot.starts["ready"])
 
 
