@@ -96,12 +96,13 @@ def main() -> None:
     command.add_argument("--scenes", type=Path, default=data_path("scenes"))
     folder = command.parse_args().scenes
     default, mini = (SceneBank.open(folder / name) for name in ("default", "mini"))
-    statistics, recordings = bank_statistics(default), len(list(shipped.row_recordings()))
+    statistics, recipe = bank_statistics(default), list(shipped.row_recordings())
+    recordings, rows = len(recipe), len({recording.row for recording in recipe})
     settings = SimpleNamespace(**default[0].provenance.settings)  # of the build, not today's defaults
     progress = ""
     if statistics.recordings < recordings:
         progress = (
-            f" The recipe names {recordings} recordings of {shipped.ROWS} rows; {statistics.recordings} of them exist "
+            f" The recipe names {recordings} recordings of {rows} rows; {statistics.recordings} of them exist "
             "so far, and the same command builds the others."
         )
     card = CARD.substitute(

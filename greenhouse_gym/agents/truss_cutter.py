@@ -164,9 +164,11 @@ def _sink(hand: Rehearsal, truss: int) -> Iterator[Twist]:
     for _ in range(_SINKS):
         plants = hand.plants
         assert isinstance(plants, CutterPlants)
+        if not plants.holding:  # lost on the way
+            return
         lowest = min(float(plants.center(k)[2]) - plants.radius(k) for k in plants.on_truss(truss))
         bottom = float(plants.above_crate(np.zeros(3))[2])
         room = min(lowest - bottom, hand.tip[0][2] - bottom - 2 * plants.crate.half_extents[2] - 0.04) - _CLEAR
-        if room <= 0 or not plants.holding:
+        if room <= 0:
             return
         yield -_UP * min(_SINKING, room / hand.interval), _NO_SPIN

@@ -175,6 +175,12 @@ def test_ratings_of_shipped_targets_are_found_again(count: int, monkeypatch: pyt
     assert agreeing >= 0.98 * count, "another processor may round otherwise"
 
 
+def test_every_scene_of_mini_has_targets_within_reach_and_both_ratings() -> None:
+    for scene in SceneBank.open("mini"):
+        assert any(target.witness for target in scene.targets), scene.name
+        assert all(target.brush is not None for target in scene.targets), scene.name
+
+
 @pytest.mark.slow
 def test_shipped_arms_begin_in_no_true_plants() -> None:
     assert not [scene.name for scene in SceneBank.open("default") if not start_is_collision_free(scene, "ur5e")]
