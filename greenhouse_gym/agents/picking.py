@@ -80,6 +80,20 @@ def close_gap(hand: Hand, fruit: int, speed: float = _CLOSING) -> Iterator[Twist
         yield offset / distance * np.clip(gap / hand.interval, -speed, speed), 2 * np.cross(axis, offset / distance)
 
 
+def feel(hand: Hand, distance: float, speed: float) -> Iterator[Twist]:
+    """Move the cup on along its axis until it holds a fruit, by a distance, metres, at a speed, m/s."""
+    for _ in range(round(distance / speed / hand.interval)):
+        if hand.held >= 0:
+            return
+        yield hand.tip[1] * speed, _STILL
+
+
+def back_off(hand: Hand, distance: float, speed: float) -> Iterator[Twist]:
+    """Move the cup back along its axis, by a distance, metres, at a speed, m/s."""
+    for _ in range(round(distance / speed / hand.interval)):
+        yield -hand.tip[1] * speed, _STILL
+
+
 def turns(hand: Hand, fruit: int) -> Iterator[Array]:
     """Yield axes (3,) to turn a held fruit about: first that of the tool, away from other fruit, then across it."""
     _, axis = hand.tip

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Iterator, Mapping
+from itertools import takewhile
 from types import MappingProxyType
 from typing import Any
 
@@ -12,8 +13,10 @@ import numpy.typing as npt
 from greenhouse_gym.agents.agent import JointAgent, Problem, action_towards
 from greenhouse_gym.agents.picking import (
     Twist,
+    back_off,
     close_gap,
     ease,
+    feel,
     gently,
     part,
     pointing_down,
@@ -43,17 +46,18 @@ IMAGE = (64, 48)
 _GOALS = 30  # configurations at a fruit
 _LEVELS = (
     Level("rigid", 0.04, 0.012, True), Level("rigid", 0.04, 0.0, True), Level("rigid", 0.04, 0.0, False),
-    Level("brush", 0.04, 0.0, False), Level("brush", 0.0, 0.0, False),
+    Level("rigid", 0.0, 0.0, False), Level("brush", 0.04, 0.0, False), Level("brush", 0.0, 0.0, False),
 )  # fmt: skip
-_CARRIED = tuple(
-    Level(leaves, 0.02, apart, False) for leaves in ("rigid", "brush") for apart in (0.012, 0.0)
-)  # on the way to the crate
+_CARRIED = (
+    Level("rigid", 0.02, 0.012, False), Level("rigid", 0.02, 0.0, False), Level("rigid", 0.0, 0.0, False),
+    Level("rigid", 0.0, 0.0, False, False), Level("brush", 0.02, 0.0, False), Level("brush", 0.0, 0.0, False, False),
+)  # on the way to the crate  # fmt: skip
 _DELIVERIES = 8  # plans to the crate, in the latter half through leaves
 _BLOCKED = 9.0  # N: pull at a held fruit that stops the arm on its way back
 _RESISTED = 0.03  # radians: something unseen keeps a joint from where its servo pulls it; in free motion up to 0.02
 _STOPPED = 4.0  # N: pull at a held fruit that stops the arm on its way to the crate
-_FIRST = 3  # levels of the first try of a fruit
-_PLANS, _LOOKS = 3, 4  # plans of an approach, and actions until it looks again for what is in its way
+_FIRST = 4  # levels of the first try of a fruit
+_PLANS, _LOOKS = 4, 2  # plans of an approach, and actions until it looks again for what is in its way
 _TRIES = 3  # picks of a fruit before it is given up
 _BACK = 10  # actions by which the arm goes back the way it came where there is no path
 _CLEAR, _REACHED = 0.12, 0.01  # metres from plants at which the arm is clear of them; radians from a waypoint
@@ -63,6 +67,9 @@ _LIFTS = 6  # actions by which the arm goes back after it has let go
 _SETTLES = 3  # actions at rest in front of a fruit
 _CLOSING, _PRESSED = 0.05, 0.0012  # m/s to a fruit, and metres by which a tip deflects that presses with 5 N
 _ABOVE = 0.02  # metres above the rim of the crate
+_FEELS, _OFF = 0.02, 0.1  # metres: felt for a fruit, and backed off
+_MOVED, _AWAY = 0.02, 0.09  # metres that a fruit has moved from a plan, and from the cup where it is not to be reached
+_RELIEFS = 4  # actions at rest after commands went back to where the arm was
 
 
 class ScanHarvester(JointAgent):
@@ -142,30 +149,37 @@ class _Harvest:
             return
         for _ in range(_SETTLES):
             yield self._action(np.zeros(len(hand.command)), False)
-        yield from self._move(close_gap(hand, fruit, _CLOSING))
+        yield from self._move(takewhile(lambda _: self._gap(fruit) < _AWAY, close_gap(hand, fruit, _CLOSING)))
+        if not hand.holds and hand.deflection <= _PRESSED and self._gap(fruit) < _FEELS / 2:
+            yield from self._move(feel(hand, _FEELS, _CLOSING))
         if hand.holds:
             hand.begin(fruit)
+            fruit = hand.working
             axis, direction = self._choose(fruit)
             yield from self._move(part(hand, fruit, axis))
             yield from self._move(withdraw(hand, retreats(hand)[direction]))
             hand.parting = False
         if hand.holds:
-            hand.fruit.hanging[fruit] = False
+            hand.fruit.pick(fruit)
             yield from self._deliver(fruit)
         else:
             yield from self._retrace(False)
 
+    def _gap(self, fruit: int) -> float:
+        """Return the distance from the cup to a fruit as it is known, metres."""
+        return float(np.linalg.norm(self._hand.center(fruit) - self._hand.tip[0])) - self._hand.radius(fruit)
+
     def _approach(self, fruit: int) -> Generator[Action, None, bool]:
         """Follow a path to a fruit, and plan again where the camera sees something in its way; return success."""
-        for attempt in range(_PLANS):
+        for _ in range(_PLANS):
             for level in _LEVELS if self._tries[fruit] else _LEVELS[:_FIRST]:
-                scene = self._stand.scene(level.around, level.apart, fruit, level.cautious)
+                scene = self._stand.scene(level.around, level.apart, fruit, level.seen)
                 commands = self._paths.commands(scene, fruit, self._robot, _GOALS, level)
                 if commands is not None:
                     break
             else:
                 return False
-            if (yield from self._follow(commands, False, level.cautious and attempt < _PLANS - 1)):
+            if (yield from self._follow(commands, False, level, fruit)):
                 return True
         return False
 
@@ -197,7 +211,7 @@ class _Harvest:
                 stopped = not all(self._stand.is_free(q) for q in path)
                 costs.append((float(np.maximum(_KEPT - gap, 0.0).sum()) + stopped, len(costs), axis, direction))
         costs.sort(key=lambda cost: cost[:2])
-        *_, axis, direction = costs[min(self._tries[fruit], len(costs) - 1)]
+        *_, axis, direction = costs[min(self._tries.get(fruit, 0), len(costs) - 1)]
         return axis, direction
 
     def _deliver(self, fruit: int) -> Iterator[Action]:
@@ -206,12 +220,12 @@ class _Harvest:
         loaded = with_fruit(self._robot, hand.radius(fruit))
         for attempt in range(_DELIVERIES):
             goals = pointing_down(hand.chain, self._robot, hand.command, self._above_crate(), self._problem.seed)
-            for level in _CARRIED[:2] if attempt < _DELIVERIES // 2 else _CARRIED:
-                scene = self._stand.scene(level.around, level.apart)
+            for level in _CARRIED[:3] if attempt < _DELIVERIES // 2 else _CARRIED:
+                scene = self._stand.scene(level.around, level.apart, seen=level.seen)
                 commands = self._paths.commands(scene, self._paths.farthest(scene), loaded, goals, level)
                 if commands is not None:
                     break
-            if not hand.holds or (commands is not None and (yield from self._follow(commands, True))):
+            if not hand.holds or (commands is not None and (yield from self._follow(commands, True, level))):
                 break
             yield from self._retrace(True, _BACK)
         self._picked += hand.holds
@@ -223,11 +237,17 @@ class _Harvest:
     def _retrace(self, vacuum: bool, actions: int | None = None) -> Iterator[Action]:
         """Go back the way the arm came until it is clear of the plants, or for a number of actions."""
         hand, plants = self._hand, self._stand.scene(0.0).arrays
+        if hand.resisted > _RESISTED:  # give way once, and come to rest
+            yield self._action(hand.joints - hand.command, vacuum)
+            for _ in range(_RELIEFS):
+                yield self._action(np.zeros(len(hand.command)), vacuum)
         if not self._trail:
+            if not vacuum:
+                yield from self._move(back_off(hand, _OFF, _CLOSING))
             return
         apart = np.abs(np.array(self._trail) - hand.command).max(axis=1)
         del self._trail[int(apart.argmin()) + 1 :]
-        done, trailing = 0, False
+        done = 0
         while self._trail and done != actions and hand.holds >= vacuum:
             tip, axis = hand.tip
             ahead = tip + axis * (hand.radius(hand.working) if vacuum else 0.0)
@@ -238,10 +258,10 @@ class _Harvest:
             change += hand.towards((yielding(hand), np.zeros(3)))
             if np.abs(self._trail[-1] - hand.command).max() < _REACHED:
                 self._trail.pop()
-                trailing = True
                 continue
             done += 1
-            stopped = not trailing and self._stand.stops(hand.command, change)
+            stand = self._stand
+            stopped = stand.stops(hand.command, change, close=True) or stand.nearer(hand.working, hand.command, change)
             if stopped or (vacuum and np.linalg.norm(hand.force) > _BLOCKED):
                 return
             resisted = hand.resisted
@@ -258,20 +278,29 @@ class _Harvest:
         for twist in gently(hand, twists):
             change = hand.towards(twist)
             blocked = (hand.deflection > _PRESSED and not hand.holds) or hand.resisted > _RESISTED
-            if blocked or self._stand.stops(hand.command, change):
+            stand = self._stand
+            if blocked or stand.stops(hand.command, change) or stand.nearer(hand.working, hand.command, change):
                 return
             yield self._action(change, True)
 
-    def _follow(self, commands: list[Array], vacuum: bool, watching: bool = False) -> Generator[Action, None, bool]:
+    def _follow(
+        self, commands: list[Array], vacuum: bool, level: Level | None = None, fruit: int = -1
+    ) -> Generator[Action, None, bool]:
         """Follow commands until something is in the way, from which the arm goes back; return whether it gets there.
 
         Args:
             commands: The commands.
             vacuum: Whether a fruit is held: it stops where that is lost, or pressed on something.
-            watching: Whether it stops where the camera sees something in its way.
+            level: Caution by which it stops where the camera sees something in its way, or the fruit elsewhere.
+            fruit: The fruit to which the path leads, if any.
         """
+        center = self._hand.center(fruit)
         for k, command in enumerate(commands):
-            if watching and k % _LOOKS == 0 and self._stand.blocks(np.array(commands[k::2])):
+            if level is not None and level.seen and k % _LOOKS == 0:
+                moved = fruit >= 0 and np.linalg.norm(self._hand.center(fruit) - center) > _MOVED
+                if moved or self._stand.blocks(np.array(commands[k::2]), level.leaves == "rigid"):
+                    return False
+            if self._stand.stops(self._hand.command, command - self._hand.command):
                 return False
             self._trail.append(self._hand.command)
             yield self._action(command - self._hand.command, vacuum)

@@ -26,13 +26,15 @@ class Level(NamedTuple):
         leaves: How leaves count, see `greenhouse_gym.planning.plan`.
         around: Metres by which the crate is thickened.
         apart: Metres by which fruit except the target, and stems, are thickened.
-        cautious: Keep away from leaves and what the camera sees, and out of space that the scan did not see.
+        cautious: Keep away from leaves, and out of space that the scan did not see.
+        seen: Keep away from what the camera sees and the scan lacks.
     """
 
     leaves: str
     around: float
     apart: float
     cautious: bool
+    seen: bool = True
 
 
 class ScannedPaths:

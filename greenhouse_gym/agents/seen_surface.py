@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import binary_dilation, maximum_filter, minimum_filter
 from scipy.spatial.distance import cdist
 
 from greenhouse_gym.geometry import Array
@@ -12,6 +15,8 @@ from greenhouse_gym.rendering.cameras import DepthCamera
 
 _CELL = 0.012  # metres: side of the cells that keep one point each
 _BEHIND = 0.03  # metres behind a point that the camera sees when the point is gone
+_BROAD, _LAYER = 0.025, 0.03  # metres: width from which a thing is broad, and depth within which it is one thing
+_SIZES = (3, 5, 7, 9)  # pixels: sides of squares that fit into broad things
 _ARM, _FAR = 0.015, 0.9  # metres: points so near to the arm, or so far from the camera, are left out
 
 
@@ -21,14 +26,17 @@ class SeenSurface:
     Args:
         arm: The arm.
         camera: The camera.
+        known: Returns which points (n, 3), in the frame of the base, belong to something known, and are left out.
 
     Attributes:
         points: (n, 3) in the frame of the arm's base, metres.
+        broad: (n,) whether they belong to broad things such as leaves, and not to thin ones such as stems.
     """
 
-    def __init__(self, arm: ArmSpheres, camera: DepthCamera):
-        self._arm, self._camera = arm, camera
+    def __init__(self, arm: ArmSpheres, camera: DepthCamera, known: Callable[[Array], npt.NDArray[np.bool_]]):
+        self._arm, self._camera, self._known = arm, camera, known
         self.points: Array = np.empty((0, 3))
+        self.broad = np.empty(0, dtype=np.bool_)
 
     def see(self, depth: Array, points: Array, view: tuple[Array, Array], joints: Array) -> None:
         """Add an image, and remove the points that it looks through.
@@ -39,14 +47,28 @@ class SeenSurface:
             view: Rotation (3, 3) and position (3,) of the camera.
             joints: (j,) configuration of the arm, radians.
         """
-        kept = self.points[~self._gone(depth, *view)]
-        new = points[(depth > 0) & (depth < _FAR)]
-        if len(new):
-            new = new[_first(new)]
-            apart = cdist(new, self._arm.centers(joints[None])[0]) - self._arm.radius
-            new = new[apart.min(axis=1) > _ARM]
-        points = np.concatenate([kept, new])
-        self.points = points[_first(points)] if len(points) else points
+        kept = ~self._gone(depth, *view)
+        new = np.flatnonzero((depth > 0) & (depth < _FAR))
+        new = new[_first(points[new])]
+        apart = cdist(points[new], self._arm.centers(joints[None])[0]) - self._arm.radius
+        new = new[apart.min(axis=1) > _ARM]
+        new = new[~self._known(points[new])]
+        broad = self._broad(depth)[new]
+        # the newer the nearer, and the nearer the better a thing shows its width
+        points = np.concatenate([points[new], self.points[kept]])
+        first = _first(points)
+        self.points, self.broad = points[first], np.concatenate([broad, self.broad[kept]])[first]
+
+    def _broad(self, depth: Array) -> npt.NDArray[np.bool_]:
+        """Return which pixels (m,) belong to squares of some width at about one depth."""
+        image = np.where(depth > 0, depth, 1e3).reshape(self._camera.height, self._camera.width)
+        broad = np.zeros(image.shape, dtype=np.bool_)
+        pixels = _BROAD * self._camera.focal / image
+        sizes = np.clip(np.searchsorted(_SIZES, pixels), 0, len(_SIZES) - 1)
+        for k, size in enumerate(_SIZES):
+            flat = maximum_filter(image, size) - minimum_filter(image, size) < _LAYER
+            broad |= (sizes == k) & binary_dilation(flat, np.ones((size, size))) & (image < _FAR)
+        return broad.ravel()
 
     def _gone(self, depth: Array, turn: Array, origin: Array) -> npt.NDArray[np.bool_]:
         """Return which points the camera would see if they were still there."""

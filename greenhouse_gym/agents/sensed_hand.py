@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from greenhouse_gym.agents.agent import Problem
 from greenhouse_gym.agents.fruit_map import FruitMap
@@ -15,7 +16,7 @@ from greenhouse_gym.agents.seen_surface import SeenSurface
 from greenhouse_gym.envs.features import feature_slices
 from greenhouse_gym.envs.image_observations import RgbObservation
 from greenhouse_gym.envs.tasks.harvest import TomatoHarvest
-from greenhouse_gym.geometry import Array, rotation_about
+from greenhouse_gym.geometry import Array, distance_to_nearest, rotation_about
 from greenhouse_gym.motion.arm_spheres import arm_spheres
 from greenhouse_gym.motion.unknown_space import guarded
 from greenhouse_gym.rendering.cameras import MAX_RANGE, DepthCamera
@@ -23,8 +24,10 @@ from greenhouse_gym.robots.kinematics import tool_chain, tool_state
 from greenhouse_gym.scene.mjcf import base_position
 from greenhouse_gym.scene.plants.mechanics import GRAVITY, PlantMechanics
 
+_EXPLAINED = 0.012  # metres from a shape of the scan
 _EVERY = 2  # actions from one image to the next that is read
 _LOOSE, _ACTIONS = 0.5, 2  # a fruit is off that pulls with less than this fraction of its weight for so many actions
+_ANOTHER = 0.01  # metres by which another fruit is nearer to the cup
 _PARTS = 11  # actions after which an imagined fruit comes off
 
 
@@ -39,7 +42,7 @@ class SensedHand:
         chain: Kinematic chain of the tool in the scene.
         turn: (3, 3) scene_from_base.
         fruit: The fruit.
-        surface: Points that the camera sees, in the frame of the base.
+        surface: Points that the camera sees and the scan lacks, in the frame of the base.
         working: The fruit in work.
         parting: Whether it is being turned off.
         joints: (j,) measured joint positions, radians.
@@ -61,9 +64,14 @@ class SensedHand:
         self._features = feature_slices(spec.layout)
         self.turn = rotation_about([0, 0, 1], problem.scene.placement.yaw)
         self.base = base_position(problem.scene, problem.robot)
-        self.surface = SeenSurface(arm_spheres(problem.robot), self._camera)
+        self.surface = SeenSurface(arm_spheres(problem.robot), self._camera, self._in_scan)
         self._age, self._loose = 0, 0
         self.parting = False
+
+    def _in_scan(self, points: Array) -> npt.NDArray[np.bool_]:
+        """Return which points (n, 3), in the frame of the base, the scan shows."""
+        near = distance_to_nearest(points @ self.turn.T + self.base, self._problem.scene.arrays, _EXPLAINED)
+        return np.asarray(near < _EXPLAINED)
 
     def sense(self, observation: Mapping[str, Any]) -> None:
         """Take over an observation."""
@@ -86,8 +94,10 @@ class SensedHand:
         if self._age % _EVERY == 0:
             turn, origin = (poses[0] for poses in wrist_camera(self.chain, self.joints[None]))
             depth = (observation["depth"][0] * MAX_RANGE).reshape(-1).astype(np.float64)
-            points = origin + depth[:, None] * (self._camera.rays @ turn.T)
-            self.fruit.see(points, observation["rgb"].reshape(3, -1).T, depth)
+            rays = self._camera.rays @ turn.T
+            points = origin + depth[:, None] * rays
+            held = (self.working, self.center(self.working)) if self.holds else None
+            self.fruit.see(rays, origin, depth, observation["rgb"].reshape(3, -1).T, held)
             view = self.turn.T @ turn, self.turn.T @ (origin - self.base)
             self.surface.see(depth, (points - self.base) @ self.turn, view, self.joints)
         self._age += 1
@@ -95,11 +105,15 @@ class SensedHand:
             loose = np.linalg.norm(self.force) < _LOOSE * self._weight
             self._loose = self._loose + 1 if loose else 0
             if self._loose >= _ACTIONS:
-                self.fruit.hanging[self.working] = False
+                self.fruit.pick(self.working)
 
     def begin(self, fruit: int) -> None:
-        """Begin to turn a fruit off."""
-        self.working, self.parting, self._loose = fruit, True, 0
+        """Begin to turn off the fruit at the cup, which may be another one than was to be picked."""
+        tip, axis = self.tip
+        at_cup = tip + self.fruit.radii[:, None] * axis
+        apart = np.where(self.fruit.hanging, np.linalg.norm(self.fruit.centers - at_cup, axis=1), np.inf)
+        self.working = int(apart.argmin()) if apart.min() < apart[fruit] - _ANOTHER else fruit
+        self.parting, self._loose = True, 0
 
     @property
     def held(self) -> int:

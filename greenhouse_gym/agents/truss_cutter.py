@@ -125,7 +125,7 @@ class TrussCutter(RehearsingAgent):
         else:
             return f"no path to the crate: {failure}" if len(goals) else "no configuration above the crate"
         trial.move(_sink(trial, truss))
-        if trial.lost or not plants.holding:
+        if trial.lost or not plants.holding or not plants.on_truss(truss):
             return "the truss is lost on the way to the crate"
         for _ in range(_OPENS):
             trial.step(np.zeros(len(robot.joints)), False)
@@ -164,9 +164,10 @@ def _sink(hand: Rehearsal, truss: int) -> Iterator[Twist]:
     for _ in range(_SINKS):
         plants = hand.plants
         assert isinstance(plants, CutterPlants)
-        if not plants.holding:  # lost on the way
+        fruit = plants.on_truss(truss)
+        if not plants.holding or not fruit:  # lost on the way
             return
-        lowest = min(float(plants.center(k)[2]) - plants.radius(k) for k in plants.on_truss(truss))
+        lowest = min(float(plants.center(k)[2]) - plants.radius(k) for k in fruit)
         bottom = float(plants.above_crate(np.zeros(3))[2])
         room = min(lowest - bottom, hand.tip[0][2] - bottom - 2 * plants.crate.half_extents[2] - 0.04) - _CLEAR
         if room <= 0:

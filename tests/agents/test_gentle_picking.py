@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from greenhouse_gym.agents.picking import gently
+from greenhouse_gym.agents.picking import back_off, feel, gently
 from greenhouse_gym.agents.seen_surface import SeenSurface
 from greenhouse_gym.motion.arm_spheres import arm_spheres
 from greenhouse_gym.rendering.cameras import DepthCamera
@@ -41,7 +41,7 @@ def test_motions_yield_to_more_than_a_pedicel_bears():
 
 def test_points_are_given_up_that_the_camera_looks_through():
     camera, robot = DepthCamera("wrist", 16, 12), get_robot("ur5e")
-    surface = SeenSurface(arm_spheres(robot), camera)
+    surface = SeenSurface(arm_spheres(robot), camera, lambda points: np.zeros(len(points), dtype=bool))
     view = np.eye(3), np.array([0.0, 0.0, 3.0])  # far above the arm
 
     def see(depth):
@@ -59,3 +59,26 @@ def test_points_are_given_up_that_the_camera_looks_through():
     assert (surface.points[np.isclose(heights, 0.5), 0] <= 0).all()
     see(np.zeros(16 * 12))
     assert len(surface.points) == 0, "nothing within the camera's range"
+
+
+def test_leaves_are_broad_and_stems_are_thin():
+    camera, robot = DepthCamera("wrist", 64, 48), get_robot("ur5e")
+    surface = SeenSurface(arm_spheres(robot), camera, lambda points: np.zeros(len(points), dtype=bool))
+    origin = np.array([0.0, 0.0, 3.0])  # far above the arm
+    column = np.arange(64) * np.ones((48, 1))
+    depth = np.where(column < 30, 0.4, np.where((column >= 40) & (column < 42), 0.3, 0.0)).ravel()
+    surface.see(depth, origin + depth[:, None] * camera.rays, (np.eye(3), origin), robot.start)
+    near, far = (np.isclose(surface.points[:, 2] - 3.0, at) for at in (0.3, 0.4))
+    assert near.any()
+    assert not surface.broad[near].any(), "a stem of 13 mm"
+    assert surface.broad[far].mean() > 0.9, "a leaf"
+
+
+@pytest.mark.parametrize(("motion", "sign"), [(feel, 1), (back_off, -1)])
+def test_the_cup_moves_along_its_axis(motion, sign):
+    axis = np.array([0.0, 0.6, 0.8])
+    hand = SimpleNamespace(tip=(np.zeros(3), axis), held=-1, interval=0.05)
+    steps = [velocity * hand.interval for velocity, _ in motion(hand, 0.02, 0.05)]
+    np.testing.assert_allclose(sum(steps), sign * 0.02 * axis)
+    hand.held = 0
+    assert len(list(feel(hand, 0.02, 0.05))) == 0

@@ -11,7 +11,6 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from greenhouse_gym.agents import Problem
-from greenhouse_gym.agents.fruit_map import fitted_center
 from greenhouse_gym.agents.harvester import OracleHarvester
 from greenhouse_gym.agents.rehearsal import Rehearsal, RehearsingAgent
 from greenhouse_gym.agents.scan_harvester import ScanHarvester
@@ -225,18 +224,6 @@ def test_an_oracle_needs_plants_that_give_way_and_a_reset(agent: RehearsingAgent
         agent.reset(Problem.of(env.simulation, 0, 0))
     with pytest.raises(RuntimeError, match="reset the agent"):
         agent.act(None)
-
-
-def test_fruit_are_where_spheres_fit_their_skin():
-    rng, center = np.random.default_rng(0), np.array([0.6, 0.1, 1.2])
-    skin = rng.normal(size=(200, 3))
-    skin = skin[skin[:, 0] < 0]
-    skin = center + 0.03 * skin / np.linalg.norm(skin, axis=1, keepdims=True)
-    stray = center + rng.uniform(0.035, 0.045, (5, 3))
-    found = fitted_center(np.concatenate([skin, stray]), center + [0.008, -0.006, 0.004], 0.03)
-    np.testing.assert_allclose(found, center, atol=1e-3)
-    assert fitted_center(skin[:5], center, 0.03) is None, "too few pixels"
-    assert fitted_center(np.concatenate([skin, skin + [0.0, 0.03, 0.0]]), center, 0.03) is None, "skin of two fruit"
 
 
 def test_a_problem_names_the_fruit_that_the_scan_shows():
