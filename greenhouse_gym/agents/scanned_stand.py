@@ -28,8 +28,9 @@ _VOXEL, _FAR_VOXEL, _AROUND = 0.012, 0.024, 0.4  # metres: sides of seen cells a
 _FRONT, _FLOOR = 0.3, -0.7  # metres before the base, and above it, from which what the camera sees are plants
 _EXPLAINED, _OF_TARGET = 0.012, 0.03  # metres from known fruit, and from the one in work
 _BLOCKED = 0.004  # metres from the arm at which what the camera sees is in its way
+_WAIST = 0.006  # metres by which the spheres of a link fall short of it
 _LEFT = 0.02  # metres from the arm within which what the camera sees is left out
-_CONTACT = 0.002  # metres from known fruit and stems at which links do not move nearer
+_CONTACT = 0.006  # metres from known fruit and stems at which links do not move nearer
 _ALONG, _ROW = 0.97, 1.5  # cosine to the row from which a piece lies along it, and half a gutter's length, metres
 
 
@@ -55,7 +56,7 @@ class ScannedStand:
         """
         scene, fruit = self._problem.scene, self._hand.fruit
         centers, radii = self._arm
-        within = (cdist(centers, fruit.centers) - radii[:, None]).min(axis=0) < fruit.radii
+        within = (cdist(centers, fruit.centers) - radii[:, None]).min(axis=0) < fruit.radii + _WAIST
         there = fruit.hanging & ~within
         if target >= 0:
             there[target] = True
@@ -97,7 +98,7 @@ class ScannedStand:
         if not shapes:
             return shapes
         centers, radii = self._arm
-        clear = (distance_to_shapes(centers, shapes) - radii[:, None]).min(axis=0) > 0
+        clear = (distance_to_shapes(centers, shapes) - radii[:, None]).min(axis=0) > _WAIST
         return [shape for shape, free in zip(shapes, clear.tolist(), strict=True) if free]
 
     def _stems(self) -> list[Stem]:
