@@ -61,6 +61,7 @@ class FruitMap:
         self._since_seen = np.zeros(len(self.turns), dtype=np.int64)
         self._sways = np.zeros_like(self.centers)
         self._picked = np.zeros(len(self.radii), dtype=np.bool_)
+        self._borne = self._picked.copy()
         self._through = np.zeros(len(self.radii), dtype=np.int64)
         self._images = 0
         self._searched = np.full(len(self.turns), -_SEARCH)
@@ -80,21 +81,31 @@ class FruitMap:
         """Count a fruit as picked; its truss rises by what its spring is relieved of."""
         if not self._picked[fruit]:
             self._picked[fruit] = True
-            self._rise(fruit)
+            self.relieve(fruit)
 
-    def _rise(self, fruit: int) -> None:
-        truss = int(self.of[fruit])
-        root = self.trusses.roots[truss]
-        mine = self.of == truss
-        weights = GRAVITY * PlantMechanics().density * 4 / 3 * np.pi * self.radii**3
-        levers = (self._scanned - root) * [1.0, 1.0, 0.0]
-        load = (weights[mine, None] * levers[mine]).sum(axis=0)
-        stiffness = max(PlantMechanics().truss_stiffness, float(np.linalg.norm(load)) / PlantMechanics().max_sag)
-        torque = weights[fruit] * np.cross((self.centers[fruit] - root) * [1.0, 1.0, 0.0], [0.0, 0.0, 1.0])
-        angle = float(np.linalg.norm(torque)) / stiffness
-        if angle > 0:
+    def rise(self, fruit: int) -> Array:
+        """Return the rotation (3,), radians, by which a truss rises without the weight of a fruit."""
+        truss, mechanics = int(self.of[fruit]), PlantMechanics()
+        root, mine = self.trusses.roots[truss], self.of == truss
+        weights = GRAVITY * mechanics.density * 4 / 3 * np.pi * self.radii**3
+        load = (weights[mine, None] * (self._scanned[mine] - root)[:, :2]).sum(axis=0)
+        stiffness = max(mechanics.truss_stiffness, float(np.linalg.norm(load)) / mechanics.max_sag)
+        return np.asarray(weights[fruit] * np.cross((self.centers[fruit] - root), [0.0, 0.0, 1.0]) / stiffness)
+
+    def jump(self, fruit: int) -> float:
+        """Return the distance by which the place of a fruit on its truss rises without its weight, metres."""
+        lever = self.centers[fruit] - self.trusses.roots[self.of[fruit]]
+        return float(np.linalg.norm(self.rise(fruit)) * np.linalg.norm(lever[:2]))
+
+    def relieve(self, fruit: int) -> None:
+        """Let a truss rise, once, as without the weight of a fruit."""
+        if self._borne[fruit]:
+            return
+        self._borne[fruit] = True
+        truss, turn = int(self.of[fruit]), self.rise(fruit)
+        if turn.any():
             for turns in (self.turns, self._rests):
-                turns[truss] = rotation_about(torque, angle) @ turns[truss]
+                turns[truss] = rotation_about(turn, float(np.linalg.norm(turn))) @ turns[truss]
             self._place(truss)
 
     def _place(self, truss: int) -> None:
@@ -175,7 +186,7 @@ class FruitMap:
         self._through[fruit[(discs >= _MIN_DISC) & (shown > _SHOWN * discs)]] = 0
         self._through[fruit[empty]] += 1
         for gone in fruit[empty & (self._through[fruit] == _GONE)].tolist():
-            self._rise(gone)
+            self.relieve(gone)
 
     def _discover(self, truss: int, image: SkinImage, taken: Array) -> None:
         """Add fruit of a truss that the scan lacks, which would be mistaken for its neighbors."""
@@ -192,6 +203,7 @@ class FruitMap:
             self._sways = np.vstack([self._sways, np.zeros(3)])
             self.radii, self.of = np.append(self.radii, radius), np.append(self.of, truss)
             self._ripe, self._picked = np.append(self._ripe, True), np.append(self._picked, False)
+            self._borne = np.append(self._borne, False)
             self._through = np.append(self._through, 0)
 
     def _sway(self, fruit: npt.NDArray[np.int64], turned: Array, points: Array, taken: Array) -> None:

@@ -17,6 +17,7 @@ from greenhouse_gym.robots.kinematics import Chain
 from greenhouse_gym.robots.robot import TIP_SITE
 
 _CLOSING, _CONTACT, _REACHES = 0.12, 0.001, 24  # m/s; gap in metres at which the cup stops; actions at most
+_LIFTING = 0.05  # m/s
 _TURNING, _TURNS = 1.6, 18  # rad/s, and actions of turning before the fruit is also pulled
 _PULLING, _PULLS = 0.06, 36  # m/s, and actions of turning and pulling at most
 _RETREAT, _RETREATS = 0.05, 20  # metres by which the tip withdraws, and actions at most
@@ -92,6 +93,14 @@ def back_off(hand: Hand, distance: float, speed: float) -> Iterator[Twist]:
     """Move the cup back along its axis, by a distance, metres, at a speed, m/s."""
     for _ in range(round(distance / speed / hand.interval)):
         yield -hand.tip[1] * speed, _STILL
+
+
+def lift(hand: Hand, distance: float) -> Iterator[Twist]:
+    """Raise a held fruit by a distance, metres, so that its truss does not jump when it comes off."""
+    for _ in range(round(distance / _LIFTING / hand.interval)):
+        if hand.held < 0:
+            return
+        yield _UP * _LIFTING, _STILL
 
 
 def turns(hand: Hand, fruit: int) -> Iterator[Array]:

@@ -18,6 +18,7 @@ from greenhouse_gym.agents.picking import (
     ease,
     feel,
     gently,
+    lift,
     part,
     pointing_down,
     retreats,
@@ -58,6 +59,7 @@ _RESISTED = 0.03  # radians: something unseen keeps a joint from where its servo
 _STOPPED = 4.0  # N: pull at a held fruit that stops the arm on its way to the crate
 _FIRST = 4  # levels of the first try of a fruit
 _PLANS, _LOOKS = 4, 2  # plans of an approach, and actions until it looks again for what is in its way
+_JUMPS = 0.01, 0.05  # metres that a truss may jump as a fruit comes off, and that it is raised at most
 _TRIES = 3  # picks of a fruit before it is given up
 _BACK = 10  # actions by which the arm goes back the way it came where there is no path
 _CLEAR, _REACHED = 0.12, 0.01  # metres from plants at which the arm is clear of them; radians from a waypoint
@@ -155,6 +157,9 @@ class _Harvest:
         if hand.holds:
             hand.begin(fruit)
             fruit = hand.working
+            if (jump := hand.fruit.jump(fruit)) > _JUMPS[0]:
+                yield from self._move(lift(hand, min(jump, _JUMPS[1])))
+                hand.bear()
             axis, direction = self._choose(fruit)
             yield from self._move(part(hand, fruit, axis))
             yield from self._move(withdraw(hand, retreats(hand)[direction]))

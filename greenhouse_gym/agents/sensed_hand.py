@@ -28,6 +28,7 @@ _EXPLAINED = 0.012  # metres from a shape of the scan
 _EVERY = 2  # actions from one image to the next that is read
 _LOOSE, _ACTIONS = 0.5, 2  # a fruit is off that pulls with less than this fraction of its weight for so many actions
 _ANOTHER = 0.01  # metres by which another fruit is nearer to the cup
+_TURNED = 13  # actions of turning after which a fruit whose weight is borne is off
 _PARTS = 11  # actions after which an imagined fruit comes off
 
 
@@ -65,7 +66,7 @@ class SensedHand:
         self.turn = rotation_about([0, 0, 1], problem.scene.placement.yaw)
         self.base = base_position(problem.scene, problem.robot)
         self.surface = SeenSurface(arm_spheres(problem.robot), self._camera, self._in_scan)
-        self._age, self._loose = 0, 0
+        self._age, self._loose, self._confirmations = 0, 0, _ACTIONS
         self.parting = False
 
     def _in_scan(self, points: Array) -> npt.NDArray[np.bool_]:
@@ -104,7 +105,7 @@ class SensedHand:
         if self.parting and self.holds:
             loose = np.linalg.norm(self.force) < _LOOSE * self._weight
             self._loose = self._loose + 1 if loose else 0
-            if self._loose >= _ACTIONS:
+            if self._loose >= self._confirmations:
                 self.fruit.pick(self.working)
 
     def begin(self, fruit: int) -> None:
@@ -113,7 +114,12 @@ class SensedHand:
         at_cup = tip + self.fruit.radii[:, None] * axis
         apart = np.where(self.fruit.hanging, np.linalg.norm(self.fruit.centers - at_cup, axis=1), np.inf)
         self.working = int(apart.argmin()) if apart.min() < apart[fruit] - _ANOTHER else fruit
-        self.parting, self._loose = True, 0
+        self.parting, self._loose, self._confirmations = True, 0, _ACTIONS
+
+    def bear(self) -> None:
+        """Let the cup bear the weight of its fruit, which is felt to be off after some actions of turning only."""
+        self.fruit.relieve(self.working)
+        self._confirmations = _TURNED
 
     @property
     def held(self) -> int:

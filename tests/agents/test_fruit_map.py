@@ -103,6 +103,16 @@ def test_a_truss_rises_in_the_map_as_fruit_are_picked():
         FruitMap(scene()).joint(1) - fruit.trusses.roots[0]))  # fmt: skip
 
 
+def test_a_truss_whose_fruit_is_borne_rises_before_it_is_picked_and_not_again():
+    fruit = FruitMap(scene())
+    jump = fruit.jump(0)
+    fruit.relieve(0)
+    assert fruit.centers[0, 2] - HANGING[0, 2] == pytest.approx(jump, rel=0.1)
+    raised = fruit.centers.copy()
+    fruit.pick(0)
+    np.testing.assert_array_equal(fruit.centers, raised)
+
+
 def test_a_fruit_that_is_gone_is_missed():
     fruit = FruitMap(scene())
     see(fruit, HANGING, 2)

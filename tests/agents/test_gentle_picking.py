@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from greenhouse_gym.agents.picking import back_off, feel, gently
+from greenhouse_gym.agents.picking import back_off, feel, gently, lift
 from greenhouse_gym.agents.seen_surface import SeenSurface
 from greenhouse_gym.motion.arm_spheres import arm_spheres
 from greenhouse_gym.rendering.cameras import DepthCamera
@@ -82,3 +82,10 @@ def test_the_cup_moves_along_its_axis(motion, sign):
     np.testing.assert_allclose(sum(steps), sign * 0.02 * axis)
     hand.held = 0
     assert len(list(feel(hand, 0.02, 0.05))) == 0
+
+
+def test_a_held_fruit_is_lifted_straight_up():
+    hand = SimpleNamespace(held=1, interval=0.05)
+    np.testing.assert_allclose(sum(velocity * 0.05 for velocity, _ in lift(hand, 0.03)), [0.0, 0.0, 0.03])
+    hand.held = -1
+    assert not list(lift(hand, 0.03))
