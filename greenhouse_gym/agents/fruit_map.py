@@ -23,11 +23,7 @@ _UNKNOWN = 0.008  # metres from known fruit to skin of one that the scan lacks
 _SETTLES, _FORGOTTEN = 0.3, 10  # weight of an image for where a truss rests, and images without it until it does
 _SEARCH = 3  # images from one search of a truss to the next
 _SWAY, _AWAY, _FADES = 0.015, 0.02, 0.9  # metres: skin of a fruit, and from where its truss has it; see _sway
-_MIN_DISC, _THROUGH, _SHOWN = (
-    6,
-    0.6,
-    0.25,
-)  # fewest pixels of a disc that show a fruit or its absence, and fractions of them
+_MIN_DISC, _THROUGH, _SHOWN = 6, 0.6, 0.25  # pixels of a disc, and fractions of them: see _check_presence
 _GONE = 6  # images that look through a fruit until it counts as gone
 _PEDICEL, _NEXT_TO = 0.012, 0.05  # metres from a fruit to its rachis without a stem, and within which stems count
 

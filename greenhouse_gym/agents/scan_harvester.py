@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.agents.agent import JointAgent, Problem, action_towards
+from greenhouse_gym.agents.imagined_pick import choose_turn
 from greenhouse_gym.agents.picking import (
     Twist,
     back_off,
@@ -23,20 +24,17 @@ from greenhouse_gym.agents.picking import (
     pointing_down,
     retreats,
     spot,
-    turns,
     with_fruit,
     withdraw,
     yielding,
 )
 from greenhouse_gym.agents.scanned_paths import Level, ScannedPaths
 from greenhouse_gym.agents.scanned_stand import ScannedStand
-from greenhouse_gym.agents.sensed_hand import ImaginedHand, SensedHand
+from greenhouse_gym.agents.sensed_hand import SensedHand
 from greenhouse_gym.envs.image_observations import RgbObservation
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.geometry import Array, arrays_of, distance_to_nearest
-from greenhouse_gym.motion.arm_spheres import arm_spheres
+from greenhouse_gym.geometry import Array, distance_to_nearest
 from greenhouse_gym.rendering.cameras import DepthCamera
-from greenhouse_gym.robots.kinematics import tool_state
 
 Action = npt.NDArray[np.float32]
 
@@ -64,7 +62,6 @@ _TRIES = 3  # picks of a fruit before it is given up
 _BACK = 10  # actions by which the arm goes back the way it came where there is no path
 _CLEAR, _REACHED = 0.12, 0.01  # metres from plants at which the arm is clear of them; radians from a waypoint
 _DROPS = 3  # actions to let go
-_KEPT, _LARGEST = 0.008, 0.1  # metres that turning and withdrawing keep from known fruit and stems; largest radius
 _LIFTS = 6  # actions by which the arm goes back after it has let go
 _SETTLES = 3  # actions at rest in front of a fruit
 _CLOSING, _PRESSED = 0.05, 0.0012  # m/s to a fruit, and metres by which a tip deflects that presses with 5 N
@@ -160,7 +157,8 @@ class _Harvest:
             if (jump := hand.fruit.jump(fruit)) > _JUMPS[0]:
                 yield from self._move(lift(hand, min(jump, _JUMPS[1])))
                 hand.bear()
-            axis, direction = self._choose(fruit)
+            tried = self._tries.get(fruit, 0)
+            axis, direction = choose_turn(hand, self._problem, self._stand, fruit, tried)
             yield from self._move(part(hand, fruit, axis))
             yield from self._move(withdraw(hand, retreats(hand)[direction]))
             hand.parting = False
@@ -187,37 +185,6 @@ class _Harvest:
             if (yield from self._follow(commands, False, level, fruit)):
                 return True
         return False
-
-    def _choose(self, fruit: int) -> tuple[Array, int]:
-        """Return the axis to turn a held fruit about and the number of the direction to withdraw in.
-
-        Both are imagined among the fruit and stems that are known; the choice keeps most away from them, and gets
-        worse with every try.
-        """
-        hand, scene = self._hand, self._stand.scene(0.0)
-        others = [tomato for k, tomato in enumerate(scene.tomatoes) if k != fruit]
-        near = arrays_of([*(tomato.shape for tomato in others), *scene.stems])
-        arm = arm_spheres(self._robot)
-        costs: list[tuple[float, int, Array, int]] = []
-        for axis in turns(hand, fruit):
-            for direction in range(len(retreats(hand))):
-                imagined = ImaginedHand(hand, self._problem)
-                imagined.move(part(imagined, fruit, axis))
-                imagined.move(withdraw(imagined, retreats(imagined)[direction]))
-                path = np.array(imagined.path)
-                links = arm.centers(path)[:, arm.moving] @ hand.turn.T + hand.base
-                state = tool_state(hand.chain, path)
-                held = state.point + hand.radius(fruit) * state.axis
-                gaps = distance_to_nearest(links.reshape(-1, 3), near, _KEPT + _LARGEST).reshape(links.shape[:2])
-                gap = np.append(
-                    (gaps - arm.radius[arm.moving]).min(axis=1),
-                    distance_to_nearest(held, near, _KEPT + _LARGEST) - hand.radius(fruit),
-                )
-                stopped = not all(self._stand.is_free(q) for q in path)
-                costs.append((float(np.maximum(_KEPT - gap, 0.0).sum()) + stopped, len(costs), axis, direction))
-        costs.sort(key=lambda cost: cost[:2])
-        *_, axis, direction = costs[min(self._tries.get(fruit, 0), len(costs) - 1)]
-        return axis, direction
 
     def _deliver(self, fruit: int) -> Iterator[Action]:
         """Bring a fruit to the crate, as far as there is no path the way the arm came."""
@@ -289,7 +256,7 @@ class _Harvest:
             yield self._action(change, True)
 
     def _follow(
-        self, commands: list[Array], vacuum: bool, level: Level | None = None, fruit: int = -1
+        self, commands: list[Array], vacuum: bool, level: Level, fruit: int = -1
     ) -> Generator[Action, None, bool]:
         """Follow commands until something is in the way, from which the arm goes back; return whether it gets there.
 
@@ -301,7 +268,7 @@ class _Harvest:
         """
         center = self._hand.center(fruit)
         for k, command in enumerate(commands):
-            if level is not None and level.seen and k % _LOOKS == 0:
+            if level.seen and k % _LOOKS == 0:
                 moved = fruit >= 0 and np.linalg.norm(self._hand.center(fruit) - center) > _MOVED
                 if moved or self._stand.blocks(np.array(commands[k::2]), level.leaves == "rigid"):
                     return False

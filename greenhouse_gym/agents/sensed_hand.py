@@ -1,8 +1,8 @@
-"""Tool and fruit as an arm senses them, and motions of a pick that it imagines before it chooses one."""
+"""Tool and fruit as an arm senses them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -29,7 +29,6 @@ _EVERY = 2  # actions from one image to the next that is read
 _LOOSE, _ACTIONS = 0.5, 2  # a fruit is off that pulls with less than this fraction of its weight for so many actions
 _ANOTHER = 0.01  # metres by which another fruit is nearer to the cup
 _TURNED = 13  # actions of turning after which a fruit whose weight is borne is off
-_PARTS = 11  # actions after which an imagined fruit comes off
 
 
 class SensedHand:
@@ -165,43 +164,3 @@ class SensedHand:
         """Return the change (j,) of the commands for a motion of the tip."""
         jacobian = np.concatenate([self._state.jacobian[0], self._state.joint_axes[0]])
         return joint_change(jacobian, twist, self.interval, self._problem.joint_steps)
-
-
-class ImaginedHand:
-    """Hand that moves without resistance; its fruit comes off after some actions.
-
-    Args:
-        hand: The hand as it is, with the fruit in work.
-        problem: The episode.
-    """
-
-    def __init__(self, hand: SensedHand, problem: Problem):
-        self._hand, self._problem, self.interval = hand, problem, hand.interval
-        self.held, self.force = hand.working, np.zeros(3)
-        self.joint, self.radius = hand.joint, hand.radius
-        self.path = [hand.command]
-
-    @property
-    def tip(self) -> tuple[Array, Array]:
-        """Position (3,) and direction (3,) of the tool in the scene."""
-        state = tool_state(self._hand.chain, self.path[-1][None])
-        return state.point[0], state.axis[0]
-
-    def center(self, fruit: int) -> Array:
-        """Return the middle (3,) of a fruit; the one in work is at the cup."""
-        if fruit != self.held:
-            return self._hand.center(fruit)
-        tip, axis = self.tip
-        return np.asarray(tip + self.radius(fruit) * axis)
-
-    def hanging(self) -> list[int]:
-        """Return the fruit that hang."""
-        return [k for k in self._hand.hanging() if k != self.held or len(self.path) <= _PARTS]
-
-    def move(self, twists: Iterable[Twist]) -> None:
-        """Move the tip, one motion an action."""
-        for twist in twists:
-            state = tool_state(self._hand.chain, self.path[-1][None])
-            jacobian = np.concatenate([state.jacobian[0], state.joint_axes[0]])
-            change = joint_change(jacobian, twist, self.interval, self._problem.joint_steps)
-            self.path.append(self.path[-1] + change)
