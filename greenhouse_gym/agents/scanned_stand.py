@@ -54,10 +54,7 @@ class ScannedStand:
             target: The target.
             seen: Whether what the camera sees and the scan lacks is clutter.
         """
-        scene, fruit = self._problem.scene, self._hand.fruit
-        centers, radii = self._arm
-        within = (cdist(centers, fruit.centers) - radii[:, None]).min(axis=0) < fruit.radii + _WAIST
-        there = fruit.hanging & ~within
+        scene, fruit, there = self._problem.scene, self._hand.fruit, self._there
         if target >= 0:
             there[target] = True
         tomatoes = []
@@ -75,6 +72,7 @@ class ScannedStand:
         stems = [replace(stem, radius=stem.radius + apart) for stem in self._outside(self._stems())]
         clutter: list[Shape] = list(scene.clutter)
         points, broad = self._unscanned() if seen else (np.empty((0, 3)), np.empty(0, dtype=np.bool_))
+        centers, radii = self._arm
         outside = (cdist(points, centers) - radii).min(axis=1, initial=np.inf) > _LEFT
         points, broad = points[outside], broad[outside]
         near = np.linalg.norm(points - self._hand.tip[0], axis=1) < _AROUND
@@ -92,6 +90,13 @@ class ScannedStand:
         """Middles (b, 3) and radii (b,) of spheres that cover the arm where it is: nothing else can be there."""
         arm, hand = arm_spheres(self._problem.robot), self._hand
         return arm.centers(hand.command[None])[0][arm.moving] @ hand.turn.T + hand.base, arm.radius[arm.moving]
+
+    @property
+    def _there(self) -> npt.NDArray[np.bool_]:
+        """(n,) which fruit hang, as far as it is known, where the arm is not."""
+        (centers, radii), fruit = self._arm, self._hand.fruit
+        apart = (cdist(centers, fruit.centers) - radii[:, None]).min(axis=0)
+        return np.asarray(fruit.hanging & (apart >= fruit.radii + _WAIST))
 
     def _outside(self, shapes: list[AnyShape]) -> list[AnyShape]:
         """Return the shapes that the arm is not in."""
@@ -118,8 +123,8 @@ class ScannedStand:
         """
         known = self._hand.fruit
         truss = known.of[fruit]
-        scene = self.scene(0.0)
-        others = [t.shape for k, t in enumerate(scene.tomatoes) if known.hanging[k] and known.of[k] != truss]
+        other = np.flatnonzero(self._there & (known.of != truss)).tolist()
+        others = [Sphere(known.centers[k], float(known.radii[k])) for k in other]
         stems = [stem for stem, of in zip(self._stems(), known.trusses.stems.tolist(), strict=True) if of != truss]
         arm = arm_spheres(self._problem.robot)
         links = arm.centers(np.array([command, command + change]))[:, arm.moving] @ self._hand.turn.T + self._hand.base

@@ -20,11 +20,11 @@ NEAR = 0.02
 
 _PIXEL = 0.9998  # cosine between the rays of a pixel and its neighbor
 _CORE, _ON, _BEHIND = 0.85, 0.01, 0.025  # fraction of a disc that counts; metres from skin, and behind it
-_AROUND, _TAKEN = 0.06, 0.005  # metres from fruit within which skin without a fruit counts; see _skin_of
+_AROUND, _TAKEN = 0.06, 0.005  # metres from fruit within which skin without a fruit counts; see `skin_of`
 _STEPS, _ROBUST, _STIFF = 5, 0.006, 1e-3  # Gauss-Newton steps, metres of misfit that count half, and damping
 _THROUGH, _BETTER, _MIN_DISC = 0.4, 0.3, 30  # fractions of pixels, and fewest ones, that make it search: see `fitted`
 _RELIABLE = 0.4  # fraction of pixels from which a pose is reliable
-_CLEARER, _JUMP = 0.05, 0.2  # radians by which a truss turns between images while it is in view
+_CLEARER, _JUMP = 0.05, 0.2  # fraction of pixels, and radians at most, by which a truss in view turns between images
 _COST = 0.4  # fraction of pixels that a turn by a radian costs
 _RISES, _SWINGS = np.linspace(-0.3, 1.05, 10), np.linspace(-0.54, 0.54, 7)  # radians since the scan
 _FARTHEST = 1.3  # radians since the scan that a truss turns at most
