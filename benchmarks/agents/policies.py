@@ -24,6 +24,7 @@ from greenhouse_gym.agents.named import make_agent
 from greenhouse_gym.agents.policy_agent import BEST
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.evaluation import Evaluation, evaluate
+from greenhouse_gym.evaluation.entry import HARVEST
 from greenhouse_gym.evaluation.leaderboard import follows, read_entry
 from greenhouse_gym.evaluation.records import Record, pairing
 from greenhouse_gym.scene import DIFFICULTIES, SceneBank
@@ -74,7 +75,7 @@ def of_entries(folder: Path) -> Iterator[_Named]:
     for entry in filter(follows, map(read_entry, sorted(folder.glob("*.json")))):
         rules = entry.protocol
         about = {name: rules[name] for name in ("bank", "split", "start")} | {"bank_sha256": entry.bank_sha256}
-        for track in entry.tracks:
+        for track in (track for track in entry.tracks if track != HARVEST):  # see benchmarks.agents.harvest
             settings = about | {"physics": track, "first_seed": rules["seed"]}
             yield f"{entry.agent}, {track}", settings, entry.evaluation(track)
 
