@@ -216,7 +216,7 @@ def _episode_pages(
 
 def _outcome(now: Record, before: Record) -> str:
     """Describe how an episode ended, and whether it ended differently before."""
-    text = outcome(now.success, now.collision, now.contact, now.steps, now.distance, now.failure)
+    text = outcome(now.success, now.collision, now.contact, now.steps, now.distance, now.failure, now.measures)
     return text if now.success == before.success else f"{text}, unlike before"
 
 

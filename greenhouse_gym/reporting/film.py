@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import count
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -129,7 +130,10 @@ class _Take(NamedTuple):
             if not over and self._is_due(info["steps"]):
                 yield self._image(trace, title)
         contact = info["contact"].split(NAME_SEPARATOR)
-        ended = outcome(info["is_success"], info["collision"], contact, info["steps"], info["distance"], failure)
+        measures = {name: float(info[name]) for name in simulation.measures}
+        ended = outcome(
+            info["is_success"], info["collision"], contact, info["steps"], info["distance"], failure, measures
+        )
         last = self._image(trace, f"{title}\n{ended}")
         for _ in range(max(1, round(self.fps * _HOLD))):
             yield last
@@ -150,13 +154,22 @@ class _Take(NamedTuple):
 
 
 def outcome(
-    success: bool, collision: bool, contact: Sequence[str], steps: int, distance: float, failure: str = ""
+    success: bool,
+    collision: bool,
+    contact: Sequence[str],
+    steps: int,
+    distance: float,
+    failure: str = "",
+    measures: Mapping[str, float] = MappingProxyType({}),
 ) -> str:
     """Describe how an episode ended; the values are those of `greenhouse_gym.evaluation.Record`."""
+    crated = f"{measures['crated']:.0f} of {measures['wanted']:.0f} in the crate" if "crated" in measures else ""
     if failure:
         return f"gave up after {steps} actions: {failure}"
+    if collision:
+        return f"hit {contact[-1]} with its {contact[0]} after {steps} actions" + (f", {crated}" if crated else "")
+    if crated:
+        return f"{crated} after {steps} actions"
     if success:
         return f"reached it after {steps} actions"
-    if collision:
-        return f"hit {contact[-1]} with its {contact[0]} after {steps} actions"
     return f"ended {100 * distance:.0f} cm from it after {steps} actions"

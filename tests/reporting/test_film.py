@@ -12,7 +12,7 @@ from still_agent import StillAgent
 from greenhouse_gym.errors import InvalidValueError, MissingDependencyError, UnknownNameError
 from greenhouse_gym.evaluation import AgentError
 from greenhouse_gym.rendering.viewer import Picture
-from greenhouse_gym.reporting.film import film
+from greenhouse_gym.reporting.film import film, outcome
 from greenhouse_gym.scene import SceneBank
 
 SMALL: dict[str, Any] = {"picture": Picture(96, 72), "split": "train", "step_limit": 4}
@@ -112,3 +112,16 @@ def test_options_must_agree_with_the_agent(bank: SceneBank, tmp_path: Path) -> N
     agent.env_options = {"robot": "ur5e"}
     with pytest.raises(InvalidValueError, match="robot"):
         film(agent, tmp_path / "a.gif", bank=bank, robot="iiwa14", **SMALL)
+
+
+@pytest.mark.parametrize(
+    ("ended", "text"),
+    [
+        ((True, False, ("",), 30, 0.0), "reached it after 30 actions"),
+        ((True, False, ("",), 700, 0.0, "", {"crated": 6.0, "wanted": 6.0}), "6 of 6 in the crate after 700 actions"),
+        ((False, True, ("cup", "string"), 9, 0.1, "", {"crated": 1.0, "wanted": 6.0}),
+         "hit string with its cup after 9 actions, 1 of 6 in the crate"),
+    ],
+)  # fmt: skip
+def test_outcomes_of_harvests_count_the_fruit_in_the_crate(ended: tuple[Any, ...], text: str) -> None:
+    assert outcome(*ended) == text
