@@ -304,6 +304,8 @@ def test_an_entry_without_a_track_says_which_it_has(entry: Entry) -> None:
 def test_what_is_on_the_leaderboard_comes_out_again(path: Path) -> None:
     entry = read_entry(path)
     track = next(iter(entry.tracks))
+    if track == HARVEST:
+        pytest.skip("a stand takes thousands of steps: the slow test repeats one")
     records = entry.evaluation(track).records
     seconds = sum(record.planning_time + record.steps * record.action_time for record in records) / len(records)
     _comes_out_again(entry, track, episodes=6 if seconds < 1.0 else 2)
