@@ -59,7 +59,7 @@ class FruitMap:
         self._picked = np.zeros(len(self.radii), dtype=np.bool_)
         self._borne = self._picked.copy()
         self._through = np.zeros(len(self.radii), dtype=np.int64)
-        self._images = 0
+        self._images, self._pulled = 0, -1
         self._searched = np.full(len(self.turns), -_SEARCH)
         self._joints = self._scanned + np.array([0.0, 0.0, 1.0]) * (self.radii + _PEDICEL)[:, None]
         ends = [at for stem in scene.stems if stem.kind == "peduncle" for at in (stem.start, stem.end)]
@@ -73,6 +73,11 @@ class FruitMap:
         """(n,) whether fruit still hang, as far as it is known."""
         return np.asarray(~self._picked & (self._through < _GONE))
 
+    @property
+    def weights(self) -> Array:
+        """(n,) weights of the fruit by their radii, N."""
+        return np.asarray(GRAVITY * PlantMechanics().density * 4 / 3 * np.pi * self.radii**3)
+
     def pick(self, fruit: int) -> None:
         """Count a fruit as picked; its truss rises by what its spring is relieved of."""
         if not self._picked[fruit]:
@@ -80,10 +85,13 @@ class FruitMap:
             self.relieve(fruit)
 
     def rise(self, fruit: int) -> Array:
-        """Return the rotation (3,), radians, by which a truss rises without the weight of a fruit."""
+        """Return the rotation (3,), radians, by which a truss rises without the weight of a fruit.
+
+        The spring at its root is that of the default mechanics, see `PlantMechanics.max_sag`.
+        """
         truss, mechanics = int(self.of[fruit]), PlantMechanics()
         root, mine = self.trusses.roots[truss], self.of == truss
-        weights = GRAVITY * mechanics.density * 4 / 3 * np.pi * self.radii**3
+        weights = self.weights
         load = (weights[mine, None] * (self._scanned[mine] - root)[:, :2]).sum(axis=0)
         stiffness = max(mechanics.truss_stiffness, float(np.linalg.norm(load)) / mechanics.max_sag)
         return np.asarray(weights[fruit] * np.cross((self.centers[fruit] - root), [0.0, 0.0, 1.0]) / stiffness)

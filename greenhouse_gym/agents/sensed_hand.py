@@ -22,7 +22,6 @@ from greenhouse_gym.motion.unknown_space import guarded
 from greenhouse_gym.rendering.cameras import MAX_RANGE, DepthCamera
 from greenhouse_gym.robots.kinematics import tool_chain, tool_state
 from greenhouse_gym.scene.mjcf import base_position
-from greenhouse_gym.scene.plants.mechanics import GRAVITY, PlantMechanics
 
 _EXPLAINED = 0.012  # metres from a shape of the scan
 _EVERY = 2  # actions from one image to the next that is read
@@ -138,7 +137,7 @@ class SensedHand:
     @property
     def _weight(self) -> float:
         """Weight of the fruit in work, N."""
-        return GRAVITY * PlantMechanics().density * 4 / 3 * np.pi * self.radius(self.working) ** 3
+        return float(self.fruit.weights[self.working])
 
     def center(self, fruit: int) -> Array:
         """Return the middle (3,) of a fruit; a held one is at the cup."""

@@ -15,9 +15,7 @@ from greenhouse_gym.geometry.poses import rotation_angle
 MIN_PIXELS = 8
 """Number of pixels that show a fruit or a truss."""
 
-NEAR = 0.02
-"""Distance of skin from where a fruit was expected, metres."""
-
+_NEAR = 0.02  # metres of skin from where a fruit was expected
 _PIXEL = 0.9998  # cosine between the rays of a pixel and its neighbor
 _CORE, _ON, _BEHIND = 0.85, 0.01, 0.025  # fraction of a disc that counts; metres from skin, and behind it
 _AROUND, _TAKEN = 0.06, 0.005  # metres from fruit within which skin without a fruit counts; see `skin_of`
@@ -106,7 +104,8 @@ def fitted(image: SkinImage, truss: Truss, turn: Array, others: Array, search: b
     """Return the rotation (3, 3) since the scan of a truss in an image, and whether it explains most of the image.
 
     Where the image looks through its fruit and ``search`` is set, the truss has moved while it was out of view:
-    it is sought in other poses, which have to match much better the farther away they are.
+    it is sought in other poses, which have to match much better the farther away they are. The fit is that of iterative
+    closest points (Besl and McKay 1992) with Cauchy weights, and a rotation about the root alone.
 
     Args:
         image: The image around the truss.
@@ -175,7 +174,7 @@ def _refined(truss: Truss, turn: Array, points: Array, others: Array) -> Array:
     """Return a rotation (3, 3) by robust least squares from the distances of skin to the nearest fruit."""
     for _ in range(_STEPS):
         centers = truss.turned(turn)
-        rows, fruit, misfit = skin_of(points, centers, truss.radii, others, NEAR)
+        rows, fruit, misfit = skin_of(points, centers, truss.radii, others, _NEAR)
         if len(rows) < MIN_PIXELS:
             break
         outward = points[rows] - centers[fruit]

@@ -10,6 +10,7 @@ from greenhouse_gym.crops.parts import SpaceBox, is_leaf
 from greenhouse_gym.envs import make_env
 from greenhouse_gym.geometry import Box
 from greenhouse_gym.motion.arm_spheres import arm_spheres
+from greenhouse_gym.scene import SceneBank
 
 SCENE = "own-cluster-2000-w00-02"
 
@@ -50,14 +51,17 @@ def test_what_the_camera_sees_is_in_the_way_and_gives_way_where_it_is_broad(stan
 
 def test_a_path_is_blocked_by_leaves_only_where_they_count(stand):
     robot = stand._problem.robot
-    arm = arm_spheres(robot)
-    at = arm.centers(robot.start[None])[0][arm.moving][-1]
-    ahead = np.array([max(at[0], 0.35), at[1], at[2]])
-    stand._hand.surface.points, stand._hand.surface.broad = ahead[None], np.array([True])
-    configurations = robot.start[None]
-    close = np.linalg.norm(ahead - at) < arm.radius[arm.moving][-1]
-    assert stand.blocks(configurations, leaves=True) == close
-    assert not stand.blocks(configurations, leaves=False)
+    arm, rng = arm_spheres(robot), np.random.default_rng(0)
+    configurations = rng.uniform(robot.lower, robot.upper, (50, len(robot.joints)))
+    centers = arm.centers(configurations)[:, arm.moving]
+    ahead = (centers[..., 0] > 0.35) & (centers[..., 2] > -0.6)  # where plants are
+    stand._hand.surface.points = np.array([centers[ahead][0]])
+    reaches = configurations[[int(np.argwhere(ahead)[0, 0])]]
+    for broad, leaves, blocked in ((True, True, True), (True, False, False), (False, False, True)):
+        stand._hand.surface.broad = np.array([broad])
+        assert stand.blocks(reaches, leaves) == blocked
+    stand._hand.surface.points = np.array([[2.0, 0.0, 0.0]])
+    assert not stand.blocks(reaches, leaves=True), "out of reach"
 
 
 def test_nothing_is_where_the_arm_is(stand):
@@ -109,3 +113,23 @@ def test_links_move_no_nearer_to_known_fruit_but_to_those_of_the_truss_in_work(s
     assert stand.nearer(other, hand.command, step)
     assert not stand.nearer(other, hand.command, -step)
     assert not stand.nearer(0, hand.command, step), "its own truss"
+
+
+def test_the_arm_keeps_from_the_whole_gutter_and_from_itself(stand):
+    (scanned,) = stand._gutter
+    (true,) = (piece for piece in SceneBank.open("mini").scene(SCENE).truth.clutter if not is_leaf(piece))
+    assert (np.abs(true.center - scanned.center) + true.half_extents <= scanned.half_extents + 0.01).all(), "within"
+    top = [box.center[2] + box.half_extents[2] for box in (scanned, true)]
+    np.testing.assert_allclose(top[0], top[1], atol=0.02)
+    np.testing.assert_allclose(scanned.half_extents[0], true.half_extents[0], atol=0.02)
+    problem = stand._problem
+    robot = problem.robot
+    goal = np.random.default_rng(0).uniform(robot.lower, robot.upper)  # somewhere on the way the arm meets something
+    path = problem.start + np.linspace(0, 1, 2000)[:, None] * (goal - problem.start)
+    wide, tight = ([checker.is_free(q) for q in path] for checker in stand._checkers)
+    between = next(k for k in range(len(path)) if tight[k] and not wide[k])
+    touching = next(k for k in range(between, len(path)) if not tight[k])
+    assert not stand.stops(path[0], path[1] - path[0])
+    assert stand.stops(path[between - 1], path[between] - path[between - 1])
+    assert stand.stops(path[between], path[touching] - path[between]), "near itself, it comes no nearer"
+    assert not stand.stops(path[between], path[0] - path[between])

@@ -14,9 +14,7 @@ from greenhouse_gym.agents import Problem
 from greenhouse_gym.agents.harvester import OracleHarvester
 from greenhouse_gym.agents.rehearsal import Rehearsal, RehearsingAgent
 from greenhouse_gym.agents.scan_harvester import ScanHarvester
-from greenhouse_gym.agents.scanned_stand import ScannedStand
 from greenhouse_gym.agents.truss_cutter import TrussCutter
-from greenhouse_gym.crops.parts import is_leaf
 from greenhouse_gym.envs import make_env, make_vec_env
 from greenhouse_gym.envs.image_observations import RgbObservation
 from greenhouse_gym.envs.tasks.harvest import COUNTED, SIZES, TomatoHarvest, ripe_targets
@@ -181,32 +179,6 @@ def test_a_scan_and_a_camera_suffice_to_pick_a_fruit():
             break
     assert info["is_success"]
     assert (info["crated"], info["dropped"]) == (1, 0)
-
-
-def test_a_scan_harvester_keeps_from_the_whole_gutter_and_from_itself():
-    agent = ScanHarvester()
-    env = make_env(bank="mini", scene=SCENE, **agent.env_options)
-    observation, _ = env.reset(seed=0)
-    problem = Problem.of(env.simulation, 0, 0)
-    agent.reset(problem)
-    agent.act(observation)
-    stand = ScannedStand(problem, agent._hand)
-    (scanned,) = stand._gutter
-    (true,) = (piece for piece in env.simulation.episode(0).scene.truth.clutter if not is_leaf(piece))
-    assert (np.abs(true.center - scanned.center) + true.half_extents <= scanned.half_extents + 0.01).all(), "within"
-    top = [box.center[2] + box.half_extents[2] for box in (scanned, true)]
-    np.testing.assert_allclose(top[0], top[1], atol=0.02)
-    np.testing.assert_allclose(scanned.half_extents[0], true.half_extents[0], atol=0.02)
-    robot = problem.robot
-    goal = np.random.default_rng(0).uniform(robot.lower, robot.upper)  # somewhere on the way the arm meets something
-    path = problem.start + np.linspace(0, 1, 2000)[:, None] * (goal - problem.start)
-    wide, tight = ([checker.is_free(q) for q in path] for checker in stand._checkers)
-    between = next(k for k in range(len(path)) if tight[k] and not wide[k])
-    touching = next(k for k in range(between, len(path)) if not tight[k])
-    assert not stand.stops(path[0], path[1] - path[0])
-    assert stand.stops(path[between - 1], path[between] - path[between - 1])
-    assert stand.stops(path[between], path[touching] - path[between]), "near itself, it comes no nearer"
-    assert not stand.stops(path[between], path[0] - path[between])
 
 
 def test_a_scan_harvester_needs_a_harvest():
