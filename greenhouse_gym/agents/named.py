@@ -10,15 +10,15 @@ from typing import Any
 
 from greenhouse_gym.agents.agent import Agent, check_agent
 from greenhouse_gym.agents.baselines import RandomAgent, StraightLineAgent, WaypointAgent
-from greenhouse_gym.agents.harvester import OracleHarvester
+from greenhouse_gym.agents.harvest.harvester import OracleHarvester
+from greenhouse_gym.agents.harvest.scan_harvester import ScanHarvester
+from greenhouse_gym.agents.harvest.truss_cutter import TrussCutter
 from greenhouse_gym.agents.hybrid import HybridAgent
 from greenhouse_gym.agents.looking import FixedViewsAgent, NextBestViewAgent, RandomViewsAgent
 from greenhouse_gym.agents.planner_agent import PlannerAgent
 from greenhouse_gym.agents.policy import description_path
 from greenhouse_gym.agents.policy_agent import PolicyAgent, shipped_policies
-from greenhouse_gym.agents.scan_harvester import ScanHarvester
 from greenhouse_gym.agents.shield import ShieldedAgent
-from greenhouse_gym.agents.truss_cutter import TrussCutter
 from greenhouse_gym.agents.watchful import WatchfulAgent
 from greenhouse_gym.common.own_code import load_own, make
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, MissingDependencyError, UnknownNameError

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from greenhouse_gym.agents.fruit_map import FruitMap
-from greenhouse_gym.agents.scanned_trusses import scanned_trusses
-from greenhouse_gym.agents.sphere_search import fitted_center, spheres_on
-from greenhouse_gym.agents.truss_pose import SkinImage, Truss, fitted
+from greenhouse_gym.agents.harvest.fruit_map import FruitMap
+from greenhouse_gym.agents.harvest.scanned_trusses import scanned_trusses
+from greenhouse_gym.agents.harvest.sphere_search import fitted_center, spheres_on
+from greenhouse_gym.agents.harvest.truss_pose import SkinImage, Truss, fitted
 from greenhouse_gym.crops.parts import Stem, Tomato
 from greenhouse_gym.geometry import Sphere, rotation_about
 from greenhouse_gym.rendering.cameras import DepthCamera

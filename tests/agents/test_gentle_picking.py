@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from greenhouse_gym.agents.picking import back_off, feel, gently, lift
-from greenhouse_gym.agents.seen_surface import SeenSurface
+from greenhouse_gym.agents.harvest.picking import back_off, feel, gently, lift
+from greenhouse_gym.agents.harvest.seen_surface import SeenSurface
 from greenhouse_gym.motion.arm_spheres import arm_spheres
 from greenhouse_gym.rendering.cameras import DepthCamera
 from greenhouse_gym.robots import get_robot

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from greenhouse_gym.agents import Problem
-from greenhouse_gym.agents.scan_harvester import ScanHarvester
-from greenhouse_gym.agents.scanned_stand import ScannedStand
+from greenhouse_gym.agents.harvest.scan_harvester import ScanHarvester
+from greenhouse_gym.agents.harvest.scanned_stand import ScannedStand
 from greenhouse_gym.crops.parts import SpaceBox, is_leaf
 from greenhouse_gym.envs import make_env
 from greenhouse_gym.geometry import Box

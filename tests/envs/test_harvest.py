@@ -11,10 +11,10 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from greenhouse_gym.agents import Problem
-from greenhouse_gym.agents.harvester import OracleHarvester
-from greenhouse_gym.agents.rehearsal import Rehearsal, RehearsingAgent
-from greenhouse_gym.agents.scan_harvester import ScanHarvester
-from greenhouse_gym.agents.truss_cutter import TrussCutter
+from greenhouse_gym.agents.harvest.harvester import OracleHarvester
+from greenhouse_gym.agents.harvest.rehearsal import Rehearsal, RehearsingAgent
+from greenhouse_gym.agents.harvest.scan_harvester import ScanHarvester
+from greenhouse_gym.agents.harvest.truss_cutter import TrussCutter
 from greenhouse_gym.envs import make_env, make_vec_env
 from greenhouse_gym.envs.image_observations import RgbObservation
 from greenhouse_gym.envs.tasks.harvest import COUNTED, SIZES, TomatoHarvest, ripe_targets

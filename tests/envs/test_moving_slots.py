@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from greenhouse_gym.agents.agent import Problem
-from greenhouse_gym.agents.harvester import OracleHarvester
-from greenhouse_gym.agents.rail import drive
-from greenhouse_gym.agents.rehearsal import Rehearsal
+from greenhouse_gym.agents.harvest.harvester import OracleHarvester
+from greenhouse_gym.agents.harvest.rail import drive
+from greenhouse_gym.agents.harvest.rehearsal import Rehearsal
 from greenhouse_gym.build.scenes import BuildSettings, truth_in_scene
 from greenhouse_gym.crops import grow_row
 from greenhouse_gym.crops.crop import STEM_LINE

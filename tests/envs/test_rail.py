@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from greenhouse_gym.agents.agent import Problem
-from greenhouse_gym.agents.harvester import OracleHarvester
-from greenhouse_gym.agents.rail import drive, parked_at, stops_of
+from greenhouse_gym.agents.harvest.harvester import OracleHarvester
+from greenhouse_gym.agents.harvest.rail import drive, parked_at, stops_of
 from greenhouse_gym.envs import make_env
 from greenhouse_gym.envs.environment import GreenhouseEnv
 from greenhouse_gym.errors import FileFormatError, InvalidValueError

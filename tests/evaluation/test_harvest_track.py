@@ -9,8 +9,8 @@ import pytest
 from typer.testing import CliRunner
 
 from greenhouse_gym.agents import RandomAgent
-from greenhouse_gym.agents.harvester import OracleHarvester
-from greenhouse_gym.agents.scan_harvester import ScanHarvester
+from greenhouse_gym.agents.harvest.harvester import OracleHarvester
+from greenhouse_gym.agents.harvest.scan_harvester import ScanHarvester
 from greenhouse_gym.cli.main import app
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.evaluation import leaderboard

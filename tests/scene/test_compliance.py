@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from greenhouse_gym.agents import Problem
-from greenhouse_gym.agents.harvester import OracleHarvester
+from greenhouse_gym.agents.harvest.harvester import OracleHarvester
 from greenhouse_gym.crops.parts import Stem, Tomato
 from greenhouse_gym.envs import make_env
 from greenhouse_gym.envs.randomization import Randomization

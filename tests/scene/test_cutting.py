@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from greenhouse_gym.agents.agent import Problem
-from greenhouse_gym.agents.truss_cutter import TrussCutter
+from greenhouse_gym.agents.harvest.truss_cutter import TrussCutter
 from greenhouse_gym.envs import make_env
 from greenhouse_gym.envs.environment import GreenhouseEnv
 from greenhouse_gym.envs.tasks.harvest import TomatoHarvest

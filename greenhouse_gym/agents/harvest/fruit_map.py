@@ -7,9 +7,9 @@ import numpy.typing as npt
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
-from greenhouse_gym.agents.scanned_trusses import scanned_trusses
-from greenhouse_gym.agents.sphere_search import fitted_center, spheres_on
-from greenhouse_gym.agents.truss_pose import MIN_PIXELS, SkinImage, Truss, fitted, skin_of
+from greenhouse_gym.agents.harvest.scanned_trusses import scanned_trusses
+from greenhouse_gym.agents.harvest.sphere_search import fitted_center, spheres_on
+from greenhouse_gym.agents.harvest.truss_pose import MIN_PIXELS, SkinImage, Truss, fitted, skin_of
 from greenhouse_gym.geometry import Array, rotation_about
 from greenhouse_gym.scene.obstacles import Surroundings
 from greenhouse_gym.scene.plants.mechanics import GRAVITY, PlantMechanics

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from greenhouse_gym.agents.agent import Problem
-from greenhouse_gym.agents.picking import Twist, pointing, with_load
-from greenhouse_gym.agents.rehearsal import Action, Rehearsal, RehearsingAgent
+from greenhouse_gym.agents.harvest.picking import Twist, pointing, with_load
+from greenhouse_gym.agents.harvest.rehearsal import Action, Rehearsal, RehearsingAgent
 from greenhouse_gym.envs.tasks.harvest import TomatoHarvest
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.scene.plants.cutting import CutterPlants

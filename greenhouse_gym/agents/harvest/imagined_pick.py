@@ -7,9 +7,9 @@ from collections.abc import Iterable
 import numpy as np
 
 from greenhouse_gym.agents.agent import Problem
-from greenhouse_gym.agents.picking import Twist, joint_change, part, retreats, turns, withdraw
-from greenhouse_gym.agents.scanned_stand import ScannedStand
-from greenhouse_gym.agents.sensed_hand import SensedHand
+from greenhouse_gym.agents.harvest.picking import Twist, joint_change, part, retreats, turns, withdraw
+from greenhouse_gym.agents.harvest.scanned_stand import ScannedStand
+from greenhouse_gym.agents.harvest.sensed_hand import SensedHand
 from greenhouse_gym.geometry import Array, arrays_of, distance_to_nearest
 from greenhouse_gym.motion.arm_spheres import arm_spheres
 from greenhouse_gym.robots.kinematics import tool_state

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
 from greenhouse_gym.agents.agent import Problem
-from greenhouse_gym.agents.sensed_hand import SensedHand
+from greenhouse_gym.agents.harvest.sensed_hand import SensedHand
 from greenhouse_gym.crops.parts import SpaceBox, Stem, Tomato, is_leaf
 from greenhouse_gym.geometry import Array, Box, Sphere, arrays_of, distance_to_nearest, pose
 from greenhouse_gym.geometry.distances import distance_to_shapes

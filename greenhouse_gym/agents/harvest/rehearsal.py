@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.agents.agent import JointAgent, Problem
-from greenhouse_gym.agents.picking import Twist, joint_change
+from greenhouse_gym.agents.harvest.picking import Twist, joint_change
 from greenhouse_gym.agents.planner_agent import safe_commands
 from greenhouse_gym.envs.actions import CommandLimits
 from greenhouse_gym.envs.state import control_timing

@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.agents.agent import JointAgent, Problem, action_towards
-from greenhouse_gym.agents.imagined_pick import choose_turn
-from greenhouse_gym.agents.picking import (
+from greenhouse_gym.agents.harvest.imagined_pick import choose_turn
+from greenhouse_gym.agents.harvest.picking import (
     Twist,
     back_off,
     close_gap,
@@ -28,9 +28,9 @@ from greenhouse_gym.agents.picking import (
     withdraw,
     yielding,
 )
-from greenhouse_gym.agents.scanned_paths import Level, ScannedPaths
-from greenhouse_gym.agents.scanned_stand import ScannedStand
-from greenhouse_gym.agents.sensed_hand import SensedHand
+from greenhouse_gym.agents.harvest.scanned_paths import Level, ScannedPaths
+from greenhouse_gym.agents.harvest.scanned_stand import ScannedStand
+from greenhouse_gym.agents.harvest.sensed_hand import SensedHand
 from greenhouse_gym.envs.image_observations import RgbObservation
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array, distance_to_nearest

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from greenhouse_gym.agents.agent import Problem
-from greenhouse_gym.agents.picking import (
+from greenhouse_gym.agents.harvest.picking import (
     close_gap,
     part,
     pointing_down,
@@ -19,8 +19,8 @@ from greenhouse_gym.agents.picking import (
     with_fruit,
     withdraw,
 )
-from greenhouse_gym.agents.rail import drive, parked_at, stops_of
-from greenhouse_gym.agents.rehearsal import Action, Rehearsal, RehearsingAgent
+from greenhouse_gym.agents.harvest.rail import drive, parked_at, stops_of
+from greenhouse_gym.agents.harvest.rehearsal import Action, Rehearsal, RehearsingAgent
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import Scene

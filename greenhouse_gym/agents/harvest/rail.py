@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 
 from greenhouse_gym.agents.agent import Problem
-from greenhouse_gym.agents.rehearsal import Action, Rehearsal
+from greenhouse_gym.agents.harvest.rehearsal import Action, Rehearsal
 from greenhouse_gym.robots import Robot
 
 SPACING = 0.5

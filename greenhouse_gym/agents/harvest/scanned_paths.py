@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from greenhouse_gym.agents.agent import Problem
+from greenhouse_gym.agents.harvest.scanned_stand import ScannedStand
+from greenhouse_gym.agents.harvest.sensed_hand import SensedHand
 from greenhouse_gym.agents.planner_agent import default_margin, default_unknown, safe_commands
-from greenhouse_gym.agents.scanned_stand import ScannedStand
-from greenhouse_gym.agents.sensed_hand import SensedHand
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.planning import plan
 from greenhouse_gym.robots import Robot

@@ -9,10 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.agents.agent import Problem
-from greenhouse_gym.agents.fruit_map import FruitMap
+from greenhouse_gym.agents.harvest.fruit_map import FruitMap
+from greenhouse_gym.agents.harvest.picking import Twist, joint_change
+from greenhouse_gym.agents.harvest.seen_surface import SeenSurface
 from greenhouse_gym.agents.occupancy_map import wrist_camera
-from greenhouse_gym.agents.picking import Twist, joint_change
-from greenhouse_gym.agents.seen_surface import SeenSurface
 from greenhouse_gym.envs.features import feature_slices
 from greenhouse_gym.envs.image_observations import RgbObservation
 from greenhouse_gym.envs.tasks.harvest import TomatoHarvest
@@ -31,7 +31,7 @@ _TURNED = 13  # actions of turning after which a fruit whose weight is borne is 
 
 
 class SensedHand:
-    """Tool and fruit by the readings of the arm; a `greenhouse_gym.agents.picking.Hand`.
+    """Tool and fruit by the readings of the arm; a `greenhouse_gym.agents.harvest.picking.Hand`.
 
     Args:
         problem: The episode.
