@@ -256,6 +256,29 @@ def test_loose_fruit_pass_the_static_stems_that_they_overlap(model, ids):
         assert all(mujoco.mj_geomDistance(model, data, fruit, int(geom), 0.01, None) >= 0 for geom in stopping)
 
 
+@pytest.mark.parametrize("name", ["own-beefsteak-2012-w00-01", "helios-beefsteak-2025-w05-02"])
+def test_a_truss_that_loses_a_heavy_fruit_rises_a_little_and_does_not_fall_over(name):
+    scene = true_scene(SceneBank.open("default").scene(name))
+    topology = topology_of(scene, name)
+    layout = Layout(trusses=1, fruit=12, leaves=1)
+    compiled = compile_scene(scene, "ur5e", scene.count, lambda spec: (drive_and_record(spec, 5), layout.add(spec)))
+    truss = max(topology.trusses, key=lambda one: sum(scene.tomatoes[f.row].radius ** 3 for f in one.fruit))
+    rows, mechanics = [fruit.row for fruit in truss.fruit], PlantMechanics()
+    ids = plant(compiled, topology, rows, layout, mechanics).ids
+    hinge = int(compiled.model.jnt_qposadr[compiled.model.body_jntadr[ids.truss[0]]])
+    for k in range(len(rows)):
+        model = copy.copy(compiled.model)
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        detach(model, data, mujoco.MjData(model), int(ids.fruit[0, k]), int(ids.loose[0]), mechanics.density)
+        bends = []
+        for _ in range(300):
+            mujoco.mj_step(model, data)
+            bends.append(np.linalg.norm(data.qpos[hinge : hinge + 2]))
+        assert 0.01 < bends[-1] < mechanics.max_sag
+        assert max(bends) < mechanics.truss_bend_limit
+
+
 def shove(scene, seconds, seed):
     """Move an arm at random among plants, then let them swing; return bends (rad) at the end and warnings."""
     env = make_env(

@@ -120,16 +120,13 @@ class Filler:
         bias = np.zeros(model.nv)
         mujoco.mj_rne(model, data, 0, bias)
         for body in bodies:
-            for joint in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
+            joints = range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body])
+            # an organ is as stiff sideways, where it bears no weight, as up and down: it would fall over when it rises
+            stiffness = max(self._stiffness(data, body, joint, bias) for joint in joints)
+            for joint in joints:
                 ball = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_BALL
-                dof, qpos = int(model.jnt_dofadr[joint]), int(model.jnt_qposadr[joint])
-                dofs = slice(dof, dof + (3 if ball else 1))
+                dofs, qpos = _dofs(model, joint), int(model.jnt_qposadr[joint])
                 torque = bias[dofs]
-                above = data.subtree_com[body][2] - data.xanchor[joint][2]
-                stiffness = float(model.jnt_stiffness[joint])
-                tipping = float(-model.opt.gravity[2] * model.body_subtreemass[body] * above)
-                stiffness += _UPRIGHT_MARGIN * max(0.0, tipping)
-                stiffness = max(stiffness, float(np.linalg.norm(torque)) / mechanics.max_sag)
                 model.jnt_stiffness[joint] = stiffness
                 damping = 2 * mechanics.damping_ratio * np.sqrt(stiffness * model.dof_M0[dofs])
                 model.dof_damping[dofs] = np.maximum(damping, _MIN_DAMPING)
@@ -140,6 +137,21 @@ class Filler:
                     mujoco.mju_axisAngle2Quat(model.qpos_spring[qpos : qpos + 4], axis, angle)
                 else:
                     model.qpos_spring[qpos] = torque[0] / stiffness
+
+    def _stiffness(self, data: mujoco.MjData, body: int, joint: int, bias: Array) -> float:
+        """Return the stiffness at which a joint of a body holds what hangs on it.
+
+        Args:
+            data: The pose in which it hangs, without springs.
+            body: The body.
+            joint: The joint.
+            bias: (dofs,) torques of gravity, N m.
+        """
+        model = self._model
+        above = data.subtree_com[body][2] - data.xanchor[joint][2]
+        tipping = float(-model.opt.gravity[2] * model.body_subtreemass[body] * above)
+        stiffness = float(model.jnt_stiffness[joint]) + _UPRIGHT_MARGIN * max(0.0, tipping)
+        return max(stiffness, float(np.linalg.norm(bias[_dofs(model, joint)])) / self._mechanics.max_sag)
 
     def shapes(self, rows: Sequence[int]) -> ShapeArrays:
         """Return shapes where they are now."""
@@ -238,3 +250,9 @@ def _straight(starts: Array, ends: Array, radius: float) -> ShapeArrays:
     result = ShapeArrays.empty(len(starts))
     result.kinds[:], result.starts[:], result.ends[:], result.sizes[:, 0] = CAPSULE, starts, ends, radius
     return result
+
+
+def _dofs(model: mujoco.MjModel, joint: int) -> slice:
+    """Return the degrees of freedom of a hinge or a ball joint."""
+    dof = int(model.jnt_dofadr[joint])
+    return slice(dof, dof + (3 if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_BALL else 1))
