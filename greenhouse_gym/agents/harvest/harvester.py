@@ -19,6 +19,7 @@ from greenhouse_gym.agents.harvest.picking import (
     with_fruit,
     withdraw,
 )
+from greenhouse_gym.agents.harvest.picking_order import PickingOrder
 from greenhouse_gym.agents.harvest.rail import drive, parked_at, stops_of
 from greenhouse_gym.agents.harvest.rehearsal import Action, Rehearsal, RehearsingAgent
 from greenhouse_gym.geometry import Array
@@ -46,9 +47,10 @@ _ABOVE = 0.02  # metres above the rim of the crate
 class OracleHarvester(RehearsingAgent):
     """Pick one fruit after the other with full knowledge of the true plants and their current poses.
 
-    It plans to the nearest fruit, closes the gap, turns the fruit about its pedicel's joint, withdraws, plans to the
-    crate with the fruit as a part of the arm, and lets go. All this is tried in copies of the simulation first, with
-    other paths, turns and withdrawals where it does harm. It is an upper bound for agents that have to see.
+    It orders the fruit by a short tour, plans to the first one, closes the gap, turns the fruit about its pedicel's
+    joint, withdraws, plans to the crate with the fruit as a part of the arm, and lets go. All this is tried in copies
+    of the simulation first, with other paths, turns and withdrawals where it does harm. It is an upper bound for agents
+    that have to see.
 
     Args:
         planner: A name in `greenhouse_gym.planning.PLANNERS`.
@@ -67,8 +69,9 @@ class OracleHarvester(RehearsingAgent):
             if problem.robot.on_rail:
                 yield from drive(problem, self.planner, stop)
             arm = parked_at(problem.robot, stop)
+            order = PickingOrder(arm, self.planner, problem.seed)
             while True:
-                pick = _Pick(problem, arm, self.planner, failures, picked)
+                pick = _Pick(problem, arm, self.planner, order, failures, picked)
                 actions = pick.find()
                 if actions is None:
                     break
@@ -84,13 +87,16 @@ class _Pick:
         problem: The episode.
         arm: The arm, parked if it stands on a rail.
         planner: Name of the planner.
+        order: Order of the fruit.
         failures: How often no harmless pick of a fruit was found so far, by fruit; updated.
         picked: Number of fruit in the crate.
     """
 
-    def __init__(self, problem: Problem, arm: Robot, planner: str, failures: dict[int, int], picked: int):
+    def __init__(
+        self, problem: Problem, arm: Robot, planner: str, order: PickingOrder, failures: dict[int, int], picked: int
+    ):
         self._problem, self._planner, self._failures, self._picked = problem, planner, failures, picked
-        self._robot = arm
+        self._robot, self._order = arm, order
         self._start = Rehearsal(problem)
         self._harm, self._budget = 0, 0
         self._scenes: dict[tuple[bool, float], LiveScene] = {}
@@ -98,13 +104,13 @@ class _Pick:
 
     def find(self) -> list[Action] | None:
         """Return the actions of the pick with the least harm; None without one."""
-        plants, (tip, _) = self._start.plants, self._start.tip
+        plants = self._start.plants
         left = np.flatnonzero(plants.wanted & (plants.state == HANGING)).tolist()
         if self._robot.on_rail:
             left = [fruit for fruit in left if np.linalg.norm(plants.center(fruit) - self._start.shoulder) < ROW_REACH]
-        far = {fruit: float(np.linalg.norm(plants.center(fruit) - tip)) for fruit in left}
+        tour = self._order.of(self._start, left, self._above_crate(self._start))
         for self._harm in HARM:
-            for fruit in sorted(left, key=lambda fruit: (self._failures.get(fruit, 0), far[fruit])):
+            for fruit in sorted(tour, key=lambda fruit: self._failures.get(fruit, 0)):
                 self._budget = self._start.rehearsed + BUDGET
                 for actions in self._picks(fruit):
                     return actions
@@ -154,7 +160,8 @@ class _Pick:
             scene, tomatoes = trial.scene(leaves=True)
             others = tomatoes.values() or range(len(scene.tomatoes))  # with the last fruit, none to be picked hangs
             far = max(others, key=lambda k: float(np.linalg.norm(scene.tomatoes[k].center - trial.tip[0])))
-            if self._follow(trial, scene, far, loaded, self._above_crate(trial), 0):
+            goals = pointing_down(trial.chain, self._robot, trial.command, self._above_crate(trial), self._problem.seed)
+            if self._follow(trial, scene, far, loaded, goals, 0):
                 break
         if not self._goes_on(trial, fruit):
             return False
@@ -181,7 +188,6 @@ class _Pick:
         return self._harmless(trial)
 
     def _above_crate(self, trial: Rehearsal) -> Array:
-        """Return configurations with the tool pointing down into the crate."""
+        """Return where (3,) above the crate to let go of the next fruit."""
         plants = trial.plants
-        point = plants.above_crate(np.append(spot(self._picked), 2 * plants.crate.half_extents[2] + _ABOVE))
-        return pointing_down(trial.chain, self._robot, trial.command, point, self._problem.seed)
+        return plants.above_crate(np.append(spot(self._picked), 2 * plants.crate.half_extents[2] + _ABOVE))

@@ -90,6 +90,7 @@ class Rehearsal:
         actions: Actions since the first copy was made.
         harm: Number of organs that they damaged and fruit that they knocked off.
         lost: Whether they dropped a fruit or ended the episode by a contact.
+        failure: Why the last plan found no path.
 
     Raises:
         InvalidValueError: The environment has no compliant plants.
@@ -101,7 +102,7 @@ class Rehearsal:
         self._problem, self._physics = problem, problem.rehearsal()
         self._limit = CommandLimits(problem.robot, problem.rule, control_timing(1 / problem.interval))
         self.actions: list[Action] = []
-        self.harm, self.lost = 0, False
+        self.harm, self.lost, self.failure = 0, False, ""
         self._rehearsed = np.zeros((), dtype=np.int64)  # shared with twins
         self._felt = self._physics.felt(_ONE)
 
@@ -221,18 +222,38 @@ class Rehearsal:
             goals: Number of configurations at the target, or (k, joints) goal configurations.
             seed: Number of the plan.
         """
-        start = np.clip(self.command, arm.lower, arm.upper)
+        path = self.plan(scene, target, planner, arm, goals, seed)
+        if path is None:
+            return self.failure
+        for command in safe_commands(scene, target, path, replace(self._problem, robot=arm)):
+            self.step(command - self.command, self.plants.holding)
+        return ""
+
+    def plan(
+        self, scene: Scene, target: int, planner: str, arm: Robot, goals: int | Array, seed: int = 0,
+        start: Array | None = None, checks: int = _CHECKS,
+    ) -> Array | None:  # fmt: skip
+        """Return a path (k, joints); None without one.
+
+        Args:
+            scene: Scene to plan in.
+            target: Target in it, see `follow`.
+            planner: Name of the planner.
+            arm: The arm, with what it carries.
+            goals: Number of goal configurations, or these, see `follow`.
+            seed: Number of the plan.
+            start: (joints,) configuration to start in; None for the current commands.
+            checks: Number of collision checks at most.
+        """
+        start = np.clip(self.command if start is None else start, arm.lower, arm.upper)
         if not isinstance(goals, int):  # a cart at the end of its rail is beyond it by rounding
             goals = np.clip(goals, arm.lower, arm.upper)
         result = plan(
-            scene, target, arm, planner, time_limit=None, max_checks=_CHECKS, goals=goals,
+            scene, target, arm, planner, time_limit=None, max_checks=checks, goals=goals,
             seed=self._problem.seed + seed, start=start,
         )  # fmt: skip
-        if result.path is None:
-            return f"no plan: {result.status} {result.message}".strip()
-        for command in safe_commands(scene, target, result.path, replace(self._problem, robot=arm)):
-            self.step(command - self.command, self.plants.holding)
-        return ""
+        self.failure = f"no plan: {result.status} {result.message}".strip()
+        return result.path
 
     def wait(self, fruit: int, actions: int) -> None:
         """Hold still until a fruit has come to rest, for a number of actions at most."""
