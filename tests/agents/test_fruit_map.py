@@ -142,6 +142,35 @@ def test_skin_of_a_held_fruit_says_nothing_about_those_that_hang():
     assert errors(fruit, HANGING)[1:].max() < 0.003
 
 
+def test_a_truss_bears_a_fruit_again_that_was_not_picked_after_all():
+    fruit = FruitMap(scene())
+    before = fruit.centers.copy()
+    fruit.pick(1)
+    assert not fruit.hanging[1]
+    risen = fruit.centers[:, 2] - before[:, 2]
+    assert (risen > 0.001).any()
+    fruit.pick(1)  # it rises once
+    np.testing.assert_allclose(fruit.centers[:, 2] - before[:, 2], risen)
+    fruit.hang(1)
+    assert fruit.hanging.all()
+    np.testing.assert_allclose(fruit.centers, before, atol=1e-12)
+    fruit.hang(1)
+    np.testing.assert_allclose(fruit.centers, before, atol=1e-12)
+
+
+def test_a_scale_corrects_the_radius_of_a_fruit_within_reason():
+    fruit = FruitMap(scene())
+    weight = fruit.weights[2]
+    fruit.weigh(2, 1.5 * weight)
+    assert fruit.radii[2] == pytest.approx(RADIUS * 1.5 ** (1 / 3))
+    assert fruit.weights[2] == pytest.approx(1.5 * weight)
+    assert fruit.radii[1] == RADIUS
+    fruit.weigh(1, -3.0)
+    assert 0.5 * RADIUS < fruit.radii[1] < RADIUS
+    fruit.weigh(0, 100 * weight)
+    assert RADIUS < fruit.radii[0] < 1.5 * RADIUS
+
+
 def test_an_image_without_red_skin_changes_nothing():
     fruit = FruitMap(scene())
     rays = CAMERA.rays @ LOOKING.T

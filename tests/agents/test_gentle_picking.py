@@ -5,8 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from greenhouse_gym.agents.harvest.picking import back_off, feel, gently, lift
+from greenhouse_gym.agents.harvest.picking import back_off, bring, feel, gently, lift
 from greenhouse_gym.agents.harvest.seen_surface import SeenSurface
+from greenhouse_gym.agents.harvest.sensed_hand import SensedHand
 from greenhouse_gym.motion.arm_spheres import arm_spheres
 from greenhouse_gym.rendering.cameras import DepthCamera
 from greenhouse_gym.robots import get_robot
@@ -89,3 +90,25 @@ def test_a_held_fruit_is_lifted_straight_up():
     np.testing.assert_allclose(sum(velocity * 0.05 for velocity, _ in lift(hand, 0.03)), [0.0, 0.0, 0.03])
     hand.held = -1
     assert not list(lift(hand, 0.03))
+
+
+def test_a_held_fruit_is_brought_back_to_a_point():
+    hand = SimpleNamespace(tip=(np.array([0.1, -0.05, 0.0]), np.eye(3)[2]), held=1, interval=0.05)
+    speeds = []
+    for velocity, spin in bring(hand, np.array([0.0, 0.0, 0.02])):
+        assert not spin.any()
+        speeds.append(np.linalg.norm(velocity))
+        hand.tip = (hand.tip[0] + hand.interval * velocity, hand.tip[1])
+    np.testing.assert_allclose(hand.tip[0], [0.0, 0.0, 0.02], atol=1e-3)
+    assert max(speeds) <= 0.25 + 1e-9
+    hand.held = -1
+    assert not list(bring(hand, np.ones(3)))
+
+
+@pytest.mark.parametrize(
+    ("force", "pulls"),
+    [([0, 0, -1.0], False), ([0.5, -0.5, -1.9], False), ([2.5, 1.7, -0.6], True), ([-0.5, 4, 3], True)],
+)
+def test_a_fruit_that_hangs_pulls_sideways_and_one_that_is_heavier_than_it_looks_does_not(force, pulls):
+    hand = SimpleNamespace(force=np.array(force, dtype=float), _weight=1.6)
+    assert SensedHand.pulls.fget(hand) == pulls

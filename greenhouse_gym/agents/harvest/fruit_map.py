@@ -25,6 +25,8 @@ _SEARCH = 3  # images from one search of a truss to the next
 _SWAY, _AWAY, _FADES = 0.015, 0.02, 0.9  # metres: skin of a fruit, and from where its truss has it; see _sway
 _MIN_DISC, _THROUGH, _SHOWN = 6, 0.6, 0.25  # pixels of a disc, and fractions of them: see _check_presence
 _GONE = 6  # images that look through a fruit until it counts as gone
+_HEAVINESS = GRAVITY * PlantMechanics().density * 4 / 3 * np.pi  # N per cubed radius, m
+_RADII = 0.75, 1.35  # radius of a fruit by its weight over that of the scan
 _PEDICEL, _NEXT_TO = 0.012, 0.05  # metres from a fruit to its rachis without a stem, and within which stems count
 
 
@@ -57,7 +59,7 @@ class FruitMap:
         self._since_seen = np.zeros(len(self.turns), dtype=np.int64)
         self._sways = np.zeros_like(self.centers)
         self._picked = np.zeros(len(self.radii), dtype=np.bool_)
-        self._borne = self._picked.copy()
+        self._risen: dict[int, Array] = {}
         self._through = np.zeros(len(self.radii), dtype=np.int64)
         self._images, self._pulled = 0, -1
         self._searched = np.full(len(self.turns), -_SEARCH)
@@ -76,7 +78,12 @@ class FruitMap:
     @property
     def weights(self) -> Array:
         """(n,) weights of the fruit by their radii, N."""
-        return np.asarray(GRAVITY * PlantMechanics().density * 4 / 3 * np.pi * self.radii**3)
+        return np.asarray(_HEAVINESS * self.radii**3)
+
+    def weigh(self, fruit: int, weight: float) -> None:
+        """Take over the weight of a fruit, N, and the radius by it, which the scan knows to a tenth."""
+        radius, (least, most) = float(np.cbrt(max(weight, 0.0) / _HEAVINESS)), _RADII
+        self.radii[fruit] *= np.clip(radius / self.radii[fruit], least, most)
 
     def pick(self, fruit: int) -> None:
         """Count a fruit as picked; its truss rises by what its spring is relieved of."""
@@ -103,10 +110,17 @@ class FruitMap:
 
     def relieve(self, fruit: int) -> None:
         """Let a truss rise, once, as without the weight of a fruit."""
-        if self._borne[fruit]:
-            return
-        self._borne[fruit] = True
-        truss, turn = int(self.of[fruit]), self.rise(fruit)
+        if fruit not in self._risen:
+            self._risen[fruit] = self.rise(fruit)
+            self._turn(int(self.of[fruit]), self._risen[fruit])
+
+    def hang(self, fruit: int) -> None:
+        """Count a fruit that was taken for picked as hanging; its truss bears its weight again."""
+        self._picked[fruit] = False
+        self._turn(int(self.of[fruit]), -self._risen.pop(fruit, np.zeros(3)))
+
+    def _turn(self, truss: int, turn: Array) -> None:
+        """Turn a truss about its root by a rotation (3,), radians."""
         if turn.any():
             for turns in (self.turns, self._rests):
                 turns[truss] = rotation_about(turn, float(np.linalg.norm(turn))) @ turns[truss]
@@ -207,7 +221,6 @@ class FruitMap:
             self._sways = np.vstack([self._sways, np.zeros(3)])
             self.radii, self.of = np.append(self.radii, radius), np.append(self.of, truss)
             self._ripe, self._picked = np.append(self._ripe, True), np.append(self._picked, False)
-            self._borne = np.append(self._borne, False)
             self._through = np.append(self._through, 0)
 
     def _sway(self, fruit: npt.NDArray[np.int64], turned: Array, points: Array, taken: Array) -> None:

@@ -22,6 +22,7 @@ _TURNING, _TURNS = 1.6, 18  # rad/s, and actions of turning before the fruit is 
 _PULLING, _PULLS = 0.06, 36  # m/s, and actions of turning and pulling at most
 _RETREAT, _RETREATS = 0.05, 20  # metres by which the tip withdraws, and actions at most
 _BACK, _FASTER = 0.25, 0.05  # m/s at most, and m/s by which it becomes faster per action
+_BRINGS = 30  # actions at most
 _YIELDING = 0.012  # m/s per N: the tip yields to what pushes the held fruit
 _RAMP, _SLOWEST = 5, 0.1  # actions until a gentle motion has its full speed, and smallest fraction of it
 # see _pulls: a pedicel parts at 8 N, and 2 N bend a truss too far
@@ -101,6 +102,16 @@ def lift(hand: Hand, distance: float) -> Iterator[Twist]:
         if hand.held < 0:
             return
         yield _UP * _LIFTING, _STILL
+
+
+def bring(hand: Hand, point: Array) -> Iterator[Twist]:
+    """Move a held fruit until the tip is at a point (3,)."""
+    for _ in range(_BRINGS):
+        offset = point - hand.tip[0]
+        distance = float(np.linalg.norm(offset))
+        if distance < _CONTACT or hand.held < 0:
+            return
+        yield offset * min(1.0 / hand.interval, _BACK / distance), _STILL
 
 
 def turns(hand: Hand, fruit: int) -> Iterator[Array]:

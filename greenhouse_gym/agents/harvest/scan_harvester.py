@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator, Mapping
-from itertools import takewhile
+from collections.abc import Generator, Iterable, Iterator, Mapping
+from itertools import repeat, takewhile
 from types import MappingProxyType
 from typing import Any
 
@@ -15,6 +15,7 @@ from greenhouse_gym.agents.harvest.imagined_pick import choose_turn
 from greenhouse_gym.agents.harvest.picking import (
     Twist,
     back_off,
+    bring,
     close_gap,
     ease,
     feel,
@@ -51,13 +52,15 @@ _CARRIED = (
     Level("rigid", 0.02, 0.012, False), Level("rigid", 0.02, 0.0, False), Level("rigid", 0.0, 0.0, False),
     Level("rigid", 0.0, 0.0, False, False), Level("brush", 0.02, 0.0, False), Level("brush", 0.0, 0.0, False, False),
 )  # on the way to the crate  # fmt: skip
-_DELIVERIES = 8  # plans to the crate, in the latter half through leaves
+_DELIVERIES = 12  # plans to the crate, in the latter half through leaves
 _BLOCKED = 9.0  # N: pull at a held fruit that stops the arm on its way back
 _RESISTED = 0.03  # radians: something unseen keeps a joint from where its servo pulls it; in free motion up to 0.02
 _STOPPED = 4.0  # N: pull at a held fruit that stops the arm on its way to the crate
 _FIRST = 4  # levels of the first try of a fruit
 _PLANS, _LOOKS = 4, 2  # plans of an approach, and actions until it looks again for what is in its way
 _JUMPS = 0.01, 0.05  # metres that a truss may jump as a fruit comes off, and that it is raised at most
+_STILL = np.zeros(3), np.zeros(3)  # no motion of the tip
+_TURNS, _RESTS = 2, 3  # ways to turn a fruit off, and actions at rest until its pull shows whether it is off
 _TRIES = 3  # picks of a fruit before it is given up
 _BACK = 10  # actions by which the arm goes back the way it came where there is no path
 _CLEAR, _REACHED = 0.12, 0.01  # metres from plants at which the arm is clear of them; radians from a waypoint
@@ -157,16 +160,30 @@ class _Harvest:
             if (jump := hand.fruit.jump(fruit)) > _JUMPS[0]:
                 yield from self._move(lift(hand, min(jump, _JUMPS[1])))
                 hand.bear()
-            tried = self._tries.get(fruit, 0)
-            axis, direction = choose_turn(hand, self._problem, self._stand, fruit, tried)
-            yield from self._move(part(hand, fruit, axis))
-            yield from self._move(withdraw(hand, retreats(hand)[direction]))
-            hand.parting = False
-        if hand.holds:
-            hand.fruit.pick(fruit)
+            yield from self._take_off(fruit)
+        if hand.holds and not hand.fruit.hanging[fruit]:
             yield from self._deliver(fruit)
         else:
             yield from self._retrace(False)
+
+    def _take_off(self, fruit: int) -> Iterator[Action]:
+        """Turn a held fruit off and withdraw; one that pulls even then is brought back and turned another way."""
+        hand, tried = self._hand, self._tries.get(fruit, 0)
+        for attempt in range(tried, tried + _TURNS):
+            hand.parting, before = True, hand.tip[0]
+            axis, direction = choose_turn(hand, self._problem, self._stand, fruit, attempt)
+            yield from self._move(part(hand, fruit, axis))
+            yield from self._move(withdraw(hand, retreats(hand)[direction]))
+            hand.parting = False
+            yield from self._move(repeat(_STILL, _RESTS))
+            if hand.holds and hand.pulls:
+                hand.fruit.hang(fruit)
+                yield from self._move(bring(hand, before))
+            else:
+                if hand.holds:
+                    hand.fruit.pick(fruit)
+                    hand.weigh()
+                return
 
     def _gap(self, fruit: int) -> float:
         """Return the distance from the cup to a fruit as it is known, metres."""
@@ -244,7 +261,7 @@ class _Harvest:
     def _above_crate(self) -> Array:
         return np.asarray(self._hand.crate + self._hand.turn @ np.append(spot(self._picked), _ABOVE))
 
-    def _move(self, twists: Iterator[Twist]) -> Iterator[Action]:
+    def _move(self, twists: Iterable[Twist]) -> Iterator[Action]:
         """Move the tip with vacuum, as far as the arm touches neither itself, nor its cart, the crate or a string."""
         hand = self._hand
         for twist in gently(hand, twists):

@@ -26,6 +26,7 @@ from greenhouse_gym.scene.mjcf import base_position
 _EXPLAINED = 0.012  # metres from a shape of the scan
 _EVERY = 2  # actions from one image to the next that is read
 _LOOSE, _ACTIONS = 0.5, 2  # a fruit is off that pulls with less than this fraction of its weight for so many actions
+_PULL = 0.4  # N: pull of a fruit that is not off at least
 _ANOTHER = 0.01  # metres by which another fruit is nearer to the cup
 _TURNED = 13  # actions of turning after which a fruit whose weight is borne is off
 
@@ -133,6 +134,18 @@ class SensedHand:
     def force(self) -> Array:
         """(3,) force of the held fruit on the cup beyond its weight, N, in the scene."""
         return np.asarray(self._force + [0.0, 0.0, self._weight if self.holds else 0.0])
+
+    @property
+    def pulls(self) -> bool:
+        """Whether the held fruit pulls sideways at rest, as one on its truss does far from where it hangs.
+
+        How it pulls up or down says less, since its weight is known by the scan's radius alone.
+        """
+        return bool(np.linalg.norm(self.force[:2]) > max(_LOOSE * self._weight, _PULL))
+
+    def weigh(self) -> None:
+        """Weigh the held fruit, which is off and at rest."""
+        self.fruit.weigh(self.working, float(-self._force[2]))
 
     @property
     def _weight(self) -> float:
