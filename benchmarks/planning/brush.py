@@ -3,12 +3,14 @@
 python -m benchmarks.planning.brush --episodes 100
 
 Episodes are those of the test rows of the shipped bank with the seeds 0, 1, ..., from the start that targets are rated
-from. "unreachable" and "hard" are ratings with rigid leaves. An agent that knows the reconstruction plans in it and
+from; those of the leaderboard are the targets of a difficulty on its track "brush", all of them. "unreachable" and
+"hard" are ratings with rigid leaves. An agent that knows the reconstruction plans in it and
 acts in the true row behind it or in the reconstruction itself; one that knows the truth plans in the true row. Plans
 have 15,000 collision checks each. The speed is that of a vector environment of 64 arms with random actions, resets
-included, on the bank "mini", whose scenes all stay compiled, rigid and brushing in turns in one process. The ratio is
-taken within each round, in CPU seconds. Each part is stored when it is finished and not measured again with the same
-settings. Takes about a CPU second per episode, and some more where the planner knows the truth.
+included, on the bank "mini", whose scenes all stay compiled: kinds of plants in turns in one process, compliant ones in
+the task of harvesting a fruit. The ratio is taken within each round, in CPU seconds. Each part is stored when it is
+finished and not measured again with the same settings. Takes about a CPU second per episode, and some more where the
+planner knows the truth.
 """
 
 from __future__ import annotations
@@ -25,10 +27,18 @@ from greenhouse_gym.agents import PlannerAgent
 from greenhouse_gym.agents.agent import Problem
 from greenhouse_gym.envs import GreenhouseVectorEnv
 from greenhouse_gym.evaluation import Evaluation, evaluate, wilson_interval
+from greenhouse_gym.evaluation.leaderboard import read_entry as read_leaderboard
 from greenhouse_gym.scene import Scene, SceneBank
 from greenhouse_gym.scene.truth import true_scene
 
 CHECKS, ENVS, STEPS = 15_000, 64, 40
+WORLDS: dict[str, dict[str, dict[str, Any]]] = {
+    "reconstruction": {"rigid": {"action": "joint"}, "brush": {"action": "joint"}},
+    "truth": {"rigid": {"action": "joint"}, "brush": {"action": "joint"}, "compliant": {"task": "harvest"}},
+}
+"""Kinds of plants by world, with further options; the first is what the others are held against."""
+
+ENTRIES = RESULTS.parent / "leaderboard"
 PARTS: dict[str, dict[str, Any]] = {
     f"{difficulty}, knows the {known}, {physics}, {plants}": {
         "difficulty": difficulty, "known": known, "physics": physics, "plants": plants
@@ -42,6 +52,9 @@ PARTS: dict[str, dict[str, Any]] = {
         ("hard", "reconstruction", "reconstruction", "rigid"),
         ("unreachable", "reconstruction", "truth", "rigid"),
     )
+}  # fmt: skip
+PARTS["unreachable of the leaderboard, knows the truth, truth, brush"] = {
+    "difficulty": "unreachable", "known": "truth", "physics": "truth", "plants": "brush", "entry": "RRTConnect.json"
 }  # fmt: skip
 
 
@@ -92,17 +105,22 @@ def run_part(part: dict[str, Any], episodes: int, bank: SceneBank) -> dict[str, 
     """Run the episodes of a part and return its figures."""
     keywords: dict[str, Any] = {"max_checks": CHECKS, "attempts": 2}
     agent = PlannerAgent(**keywords) if part["known"] == "reconstruction" else KnowsTruth(bank, "test", **keywords)
-    rules = {key: part[key] for key in ("difficulty", "physics", "plants")}
-    return figures_of(evaluate(agent, episodes=episodes, bank=bank, split="test", start="upright", **rules))
+    rules: dict[str, Any] = {key: part[key] for key in ("physics", "plants")}
+    if "entry" in part:
+        records = read_leaderboard(ENTRIES / part["entry"]).evaluation("brush").records
+        rules["problems"] = [(r.scene, r.target) for r in records if r.difficulty == part["difficulty"]]
+    else:
+        rules["difficulty"] = part["difficulty"]
+    return figures_of(evaluate(agent, episodes=episodes, bank=bank, split="test", **rules))
 
 
 def speeds(rounds: int, bank: SceneBank) -> dict[str, Any]:
-    """Return CPU seconds per 1,000 steps of the vector environment, rigid and brushing."""
+    """Return CPU seconds per 1,000 steps of the vector environment, by world and plants."""
     result: dict[str, Any] = {"rounds": rounds, "envs": ENVS, "bank": bank.path.name}
-    for physics in ("reconstruction", "truth"):
+    for physics, kinds in WORLDS.items():
         envs = {
-            plants: GreenhouseVectorEnv(ENVS, bank=bank, physics=physics, plants=plants, action="joint", threads=1)
-            for plants in ("rigid", "brush")
+            plants: GreenhouseVectorEnv(ENVS, bank=bank, physics=physics, plants=plants, threads=1, **options)
+            for plants, options in kinds.items()
         }
         seconds: dict[str, list[float]] = {plants: [] for plants in envs}
         for env in envs.values():
@@ -115,9 +133,14 @@ def speeds(rounds: int, bank: SceneBank) -> dict[str, Any]:
                 for action in actions:
                     env.step(action)
                 seconds[plants] += [time.process_time() - began] if k else []
-        per_thousand = {plants: 1e3 * median(values) / (STEPS * ENVS) for plants, values in seconds.items()}
-        ratios = [rigid / brush for rigid, brush in zip(seconds["rigid"], seconds["brush"], strict=True)]
-        result[physics] = {"cpu_s_per_1000_steps": per_thousand, "speed_of_brush": median(ratios), "ratios": ratios}
+        result[physics] = {
+            "cpu_s_per_1000_steps": {
+                plants: 1e3 * median(values) / (STEPS * ENVS) for plants, values in seconds.items()
+            }
+        }
+        for plants in list(kinds)[1:]:
+            ratios = [rigid / other for rigid, other in zip(seconds["rigid"], seconds[plants], strict=True)]
+            result[physics][plants] = {"speed": median(ratios), "ratios": ratios}
     return result
 
 
@@ -133,6 +156,8 @@ def main() -> None:
     rows = []
     for name in (name for name in PARTS if name in chosen):
         settings = {"episodes": arguments.episodes, "bank_sha256": bank.sha256}
+        if "entry" in PARTS[name]:
+            del settings["episodes"]
         figures = read_entry(path, name, settings)
         if not figures:
             figures = {**run_part(PARTS[name], arguments.episodes, bank), **settings}
@@ -148,8 +173,11 @@ def main() -> None:
         settings = {"rounds": arguments.rounds, "bank": "mini"}
         figures = read_entry(path, "speed", settings) or speeds(arguments.rounds, SceneBank.open("mini"))
         write_entry(path, "speed", figures)
-        for physics in ("reconstruction", "truth"):
-            print(f"{physics}: brush runs at {figures[physics]['speed_of_brush']:.2f} of the speed of rigid")
+        for physics, kinds in WORLDS.items():
+            for plants in list(kinds)[1:]:
+                print(
+                    f"{physics}: {plants} plants run at {figures[physics][plants]['speed']:.2f} of the speed of rigid"
+                )
 
 
 if __name__ == "__main__":
