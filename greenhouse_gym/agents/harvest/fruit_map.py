@@ -82,8 +82,8 @@ class FruitMap:
 
     def weigh(self, fruit: int, weight: float) -> None:
         """Take over the weight of a fruit, N, and the radius by it, which the scan knows to a tenth."""
-        radius, (least, most) = float(np.cbrt(max(weight, 0.0) / _HEAVINESS)), _RADII
-        self.radii[fruit] *= np.clip(radius / self.radii[fruit], least, most)
+        radius = float(np.cbrt(max(weight, 0.0) / _HEAVINESS))
+        self.radii[fruit] *= np.clip(radius / self.radii[fruit], *_RADII)
 
     def pick(self, fruit: int) -> None:
         """Count a fruit as picked; its truss rises by what its spring is relieved of."""

@@ -1,4 +1,4 @@
-"""Order of picking: a short tour through fruit, each of which is brought to the crate before the next."""
+"""Order of picking: a short tour through fruit, with a visit to the crate after every one."""
 
 from __future__ import annotations
 
@@ -47,20 +47,20 @@ class PickingOrder:
         """
         scene, tomatoes = rehearsal.scene(leaves=True, around_crate=_AROUND)
 
-        def way(start: Array, k: int, goals: int | Array = _GOALS) -> Array | None:
+        def path_to(start: Array, k: int, goals: int | Array = _GOALS) -> Array | None:
             return rehearsal.plan(scene, tomatoes[k], self._planner, self._robot, goals, 0, start, _CHECKS)
 
-        paths = {k: way(rehearsal.command, k) for k in fruit}
+        paths = {k: path_to(rehearsal.command, k) for k in fruit}
         if not self._last.keys() >= set(fruit):
             self._above, self._next, self._last = [], [], {}
             for k, path in paths.items():
                 above = rehearsal.command
                 if path is not None:
                     found = pointing_down(rehearsal.chain, self._robot, path[-1], crate, self._seed)
-                    back = way(path[-1], k, found) if len(found) else None
+                    back = path_to(path[-1], k, found) if len(found) else None
                     above = above if back is None else back[-1]
                 self._last[k] = self._numbered(above)
-            self._next = [{k: _length_of(way(above, k)) for k in fruit} for above in self._above]
+            self._next = [{k: _length_of(path_to(above, k)) for k in fruit} for above in self._above]
         legs = np.array([[self._next[self._last[i]][j] for j in fruit] for i in fruit])
         return [fruit[k] for k in short_tour(np.array([_length_of(paths[k]) for k in fruit]), legs)]
 
@@ -86,12 +86,12 @@ def short_tour(first: Array, legs: Array) -> list[int]:
         first: (n,) lengths of the ways from the beginning.
         legs: (n, n) lengths of the ways from places (rows) to others.
     """
-    tour, left, ways = [], list(range(len(first))), first
+    tour, left, lengths = [], list(range(len(first))), first
     while left:
-        place = min(left, key=lambda k: (ways[k], k))
+        place = min(left, key=lambda k: (lengths[k], k))
         left.remove(place)
         tour.append(place)
-        ways = legs[place]
+        lengths = legs[place]
     length, shorter = _length(tour, first, legs), True
     while shorter:
         shorter = False

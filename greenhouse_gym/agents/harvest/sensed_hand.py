@@ -137,7 +137,7 @@ class SensedHand:
 
     @property
     def pulls(self) -> bool:
-        """Whether the held fruit pulls sideways at rest, as one on its truss does far from where it hangs.
+        """Return whether the held fruit pulls sideways at rest, as one on its truss does far from where it hangs.
 
         How it pulls up or down says less, since its weight is known by the scan's radius alone.
         """
