@@ -132,6 +132,9 @@ class Agent(Protocol):
     observations of n simulations. It is called when many episodes run side by side; of any other agent, every
     simulation gets a copy.
 
+    An agent whose observation has images may have an attribute ``reads_images``, which is read after each action: where
+    it is False, the images of the next observation are zero and cost no time. A new episode begins with images.
+
     Attributes:
         name: Its name in tables.
         env_options: Keywords of `gymnasium.make` for the environment that the agent needs. A keyword ``action`` of the
@@ -159,6 +162,11 @@ def knows_scene(agent: Agent) -> bool:
     The leaderboard keeps both kinds apart. The observation of such an agent holds no plan.
     """
     return bool(getattr(agent, "knows_scene", True))
+
+
+def reads_images(agent: Agent) -> bool:
+    """Return whether an agent reads the images of its next observation; False if it declares that it does not."""
+    return bool(getattr(agent, "reads_images", True))
 
 
 class NamedAgent:

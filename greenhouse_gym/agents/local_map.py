@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
-from scipy.spatial.distance import cdist
 
 from greenhouse_gym.agents.agent import Problem
 from greenhouse_gym.agents.occupancy_map import OccupancyMap
+from greenhouse_gym.agents.viewpoints import NOTHING_OPAQUE, OpaqueCells
 from greenhouse_gym.geometry import (
     Array,
     distance_to_nearest,
@@ -101,7 +102,7 @@ class LocalMap:
                 the points it has observed at them.
         """
         scene, points = self._scene, self._unexplained_points(boxes)
-        points = points[self._distances(points, self._arm.centers(command[None])[0]) > _AT_ARM]
+        points = points[~self._arm.near(points, command[None], _AT_ARM)]
         points = transform(self._scene_from_base, points)
         covered = boxes_around_points(points, voxel)
         while len(covered.kinds) > _MAX_BOXES:
@@ -130,15 +131,9 @@ class LocalMap:
 
         Without ``boxes``, points at boxes of the scan count, too.
         """
-        centers, moving = self._arm.centers(configurations), self._arm.moving
         points = self._unexplained_points(boxes)
-        points = points[self._distances(points, centers[0]) > _AT_ARM]
-        if not len(points):
-            return False
-        radius = self._arm.radius[moving]
-        reach = float(radius.max()) + CLEARANCE
-        distances, _ = cKDTree(points).query(centers[:, moving], distance_upper_bound=reach)
-        return bool((distances - radius).min() < CLEARANCE)
+        points = points[~self._arm.near(points, configurations[:1], _AT_ARM)]
+        return bool(self._arm.near(points, configurations, CLEARANCE, moving=True).any())
 
     def unobserved(self, configurations: Array) -> Array:
         """Return points (k, 3) of an arm in configurations (m, j) that neither the scan nor the camera has observed.
@@ -156,7 +151,7 @@ class LocalMap:
         points = points[(~space.is_known(in_scene) | self._is_unexplained(in_scene)) & ~self._map.observed(points)]
         points = (np.unique(np.floor(points / _SPACING), axis=0) + 0.5) * _SPACING
         points = points[np.linalg.norm(points - self._target, axis=1) > self._tomato.radius + _TARGET_GAP]
-        return np.asarray(points[self._distances(points, centers[0]) > _ARM_GAP])
+        return np.asarray(points[~self._arm.near(points, configurations[:1], _ARM_GAP)])
 
     def unobserved_around_target(self) -> Array:
         """Return points (k, 3) around the target that the camera has not observed, even if the scan has."""
@@ -167,27 +162,21 @@ class LocalMap:
         points = self._target + offsets[around]
         return np.asarray(points[~self._map.observed(points)])
 
-    def occupied(self, points: Array) -> npt.NDArray[np.bool_]:
-        """Return which points (n, 3) lie in voxels that the scan found occupied, (n,)."""
+    @cached_property
+    def occupied(self) -> OpaqueCells:
+        """The voxels that the scan found occupied."""
         space = self._scene.occupancy
         if space is None:
-            return np.zeros(len(points), dtype=np.bool_)
-        return np.asarray(space.states_at(transform(self._scene_from_base, points)) == OCCUPIED)
+            return NOTHING_OPAQUE
+        return OpaqueCells(space.states == OCCUPIED, space.origin, space.voxel, self._scene_from_base)
 
     def _is_unexplained(self, points: Array) -> npt.NDArray[np.bool_]:
         """Return which points (n, 3) of the scene lie in unexplained occupied cells, (n,)."""
         space = self._scene.occupancy
         if space is None or self._unexplained is None:
             return np.zeros(len(points), dtype=np.bool_)
-        cells = np.floor((points - space.origin) / space.voxel).astype(np.int64)
-        inside = ((cells >= 0) & (cells < space.shape)).all(axis=1)
-        found = np.zeros(len(points), dtype=np.bool_)
-        found[inside] = self._unexplained[tuple(cells[inside].T)]
-        return found
-
-    def _distances(self, points: Array, centers: Array) -> Array:
-        """Return distances (n,) of points (n, 3) to an arm with its spheres at centers (b, 3), metres; < 0 inside."""
-        return np.asarray((cdist(points, centers) - self._arm.radius).min(axis=1, initial=np.inf))
+        cells = space.cells_of(points)
+        return (cells >= 0) & self._unexplained.reshape(-1)[cells]
 
     def _occupancy(self) -> OccupancyGrid | None:
         """Return the scan's occupancy with unknown and unexplained cells free where the camera has observed them."""

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import binary_dilation, distance_transform_edt
-from scipy.spatial.distance import cdist
 
 from greenhouse_gym.agents.agent import JointAgent, Problem, action_towards
 from greenhouse_gym.agents.occupancy_map import wrist_camera
@@ -57,8 +56,7 @@ class CarvedSpace:
 
     def __init__(self, arm: ArmSpheres, start: Array):
         self._arm = arm
-        near = cdist(MAP.centers, arm.centers(start[None])[0]) - arm.radius
-        self._swept = (near.min(axis=1) < MAP.cell + _GAP).reshape(MAP.shape)
+        self._swept = arm.near(MAP.centers, start[None], MAP.cell + _GAP).reshape(MAP.shape)
         low, high = np.array(ZONE)
         self._in_zone = ((MAP.centers > low) & (MAP.centers < high)).all(axis=1).reshape(MAP.shape)
         self._likely = np.exp(-0.5 * (((MAP.centers - FRUIT_AT) / FRUIT_SPREAD) ** 2).sum(axis=1))

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.distance import cdist
 
 from greenhouse_gym.envs.features import feature_slices
 from greenhouse_gym.envs.image_observations import DepthObservation
@@ -102,7 +101,7 @@ class OccupancyMap:
         subset, free = rays[::_EVERY_RAY], reading.free.reshape(-1)[::_EVERY_RAY]
         if self._noisy:  # the arm is too near for a reading
             free = np.where(self._meets_arm(origin, subset, joints), 0.0, free)
-        self._observed[_BOX.looked_through(origin, subset, free)] = True
+        self._observed |= _BOX.looked_through(origin, subset, free)
         points, uncertainty = origin + z[z > 0, None] * rays[z > 0], uncertainty[z > 0]
         foreign = self._foreign(points, uncertainty, joints)
         self._keep(points[foreign], uncertainty[foreign])
@@ -121,8 +120,7 @@ class OccupancyMap:
         target = ((points - self._target) ** 2).sum(axis=1) < (self._radius + _TARGET + uncertainty) ** 2
         foreign = inside & ~stand & ~target
         candidates = np.flatnonzero(foreign)
-        distances = cdist(points[candidates], self._arm.centers(joints[None])[0]) - self._arm.radius
-        foreign[candidates[distances.min(axis=1) < _ARM]] = False
+        foreign[candidates[self._arm.near(points[candidates], joints[None], _ARM)]] = False
         return foreign
 
     def _keep(self, points: Array, uncertainty: Array) -> None:

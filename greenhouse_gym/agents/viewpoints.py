@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -62,28 +62,44 @@ def viewpoints(
         yield samples[k], seen[k]
 
 
+class OpaqueCells(NamedTuple):
+    """Cells of a grid that hide what is behind them.
+
+    Attributes:
+        cells: (x, y, z) which cells are opaque.
+        low: (3,) lower corner of the grid, metres.
+        cell: Side of a cell, metres.
+        pose: (4, 4) pose of the arm's base in the frame of the grid.
+    """
+
+    cells: npt.NDArray[np.bool_] = np.zeros((0, 0, 0), dtype=np.bool_)
+    low: Array = np.zeros(3)
+    cell: float = 1.0
+    pose: Array = np.eye(4)
+
+
+NOTHING_OPAQUE = OpaqueCells()
+"""A grid without cells."""
+
+
 def visible(
     arm: ArmSpheres,
     configurations: Array,
     points: Array,
-    occluder: Callable[[Array], Seen],
+    opaque: OpaqueCells = NOTHING_OPAQUE,
     depths: tuple[float, float] = DEPTHS,
 ) -> Seen:
     """Return which points (k, 3) the camera sees within a range of depths in configurations (m, j): (m, k)."""
-    turn, origin = wrist_camera(arm.chain, configurations)
-    offsets = points - origin[:, None]
-    x, y, z = np.moveaxis(np.einsum("mkx,mxy->mky", offsets, turn), -1, 0)
+    from greenhouse_gym.motion.visibility_kernels import mark_seen  # loads numba
+
+    turns, origins = map(np.ascontiguousarray, wrist_camera(arm.chain, configurations))
     camera = DepthCamera()
-    wide, high = (_EDGE * size / 2 / camera.focal for size in (camera.width, camera.height))
-    seen = np.asarray((z > depths[0]) & (z < depths[1]) & (np.abs(x) < wide * z) & (np.abs(y) < high * z))
-    m, k = np.nonzero(seen)
-    length = np.linalg.norm(offsets[m, k], axis=1)[:, None]
-    along = np.arange(_STEP, float(length.max(initial=0.0)), _STEP)
-    between = along < length - _SHORT
-    rays = origin[m][:, None] + offsets[m, k][:, None] * (along[:, None] / length[..., None])
-    in_front = np.zeros(between.shape, dtype=np.bool_)
-    in_front[between] = occluder(rays[between])
-    seen[m, k] = ~in_front.any(axis=1)
+    limits = np.array([*depths, *(_EDGE * size / 2 / camera.focal for size in (camera.width, camera.height))])
+    seen = np.empty((len(configurations), len(points)), dtype=np.bool_)
+    mark_seen(
+        turns, origins, np.ascontiguousarray(points), opaque.cells.reshape(-1), opaque.pose,
+        opaque.low, np.array(opaque.cells.shape), opaque.cell, limits, _STEP, _SHORT, seen,
+    )  # fmt: skip
     return seen
 
 

@@ -127,6 +127,11 @@ class WatchfulAgent(JointAgent):
         """Forget the last episode."""
         self._problem, self._episode, self.status = problem, None, ""
 
+    @property
+    def reads_images(self) -> bool:
+        """Return whether it reads the next image."""
+        return self._episode is None or self._episode.reads_images
+
     def act(self, observation: Any) -> npt.NDArray[np.float32]:
         """Return the next action, (joints,)."""
         if self._problem is None:
@@ -161,6 +166,7 @@ class _Episode:
         self._depths = NOISY_DEPTHS if noisy else DEPTHS
         self._path, self._trail = self._initial_path(target), [problem.start]
         self._looking, self._stuck, self._age, self._plans, self._looks = True, False, 0, 0, 0
+        self.reads_images = True
         self._looked_at: Array = np.zeros((0, 3))
         self._rng = np.random.default_rng(problem.seed)
 
@@ -183,9 +189,15 @@ class _Episode:
         elif self._stuck:
             self._retry(command)
         self._age += 1
+        steps = self._problem.joint_steps
+        self.reads_images = self._age % _EVERY == 0 or (self._looking and self._may_arrive(command, steps))
         if not self._path:
             return np.zeros(len(command), dtype=np.float32)
-        return action_towards(self._path[0], command, self._problem.joint_steps).astype(np.float32)
+        return action_towards(self._path[0], command, steps).astype(np.float32)
+
+    def _may_arrive(self, command: Array, steps: Array) -> bool:
+        """Return whether the next action may lead to the end of the path."""
+        return not self._path or bool((np.abs(self._path[-1] - command) < 2 * steps).all())
 
     def _arrive(self, configuration: Array) -> None:
         """Add a configuration (j,) to the trail from the start, or go back on the trail to it."""
@@ -267,7 +279,7 @@ class _Episode:
         robot = self._problem.robot
         self._looks += 1
         checker = self._checker(apply_caution(scene, robot, command, self._levels[0]))
-        sees = partial(visible, self._arm, points=points, occluder=self._map.occupied, depths=self._depths)
+        sees = partial(visible, self._arm, points=points, opaque=self._map.occupied, depths=self._depths)
         found = viewpoints(robot, command, sees, self._rng)
         for viewpoint, seen in islice(found, _MAX_VIEWPOINTS):
             if checker.is_free(viewpoint) and checker.inside_is_free(command, viewpoint, RESOLUTION):

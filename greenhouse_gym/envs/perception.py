@@ -36,6 +36,9 @@ class Perception:
         requires_roadmap: Compute waypoints and paths.
         threads: Number of threads of the cameras; 0 uses all cores.
         camera: Camera of the task, if it has one.
+
+    Attributes:
+        images_due: (n,) whether the images of each simulation are rendered; the others are zero.
     """
 
     def __init__(
@@ -54,6 +57,7 @@ class Perception:
         self._camera = camera
         self._task_camera: TaskCamera | None = None
         self._no_images = no_images(count)
+        self.images_due = np.ones(count, dtype=np.bool_)
         self._probe_radii = robot.probe_radii.astype(np.float32)
         self._setups: dict[int, Setup] = {}
         self._joint_offset = np.zeros((count, len(robot.joints)))
@@ -228,7 +232,7 @@ class Perception:
         noises = [setup.disturbance.noise for setup in setups]
         models = [physics.models[i] for i in np.arange(self._count)[ids]]
         plants = [physics.plants(i) for i in np.arange(self._count)[ids]]
-        return self._rig.render(models, physics.qpos[ids], frame, tip, tool, noises, plants)
+        return self._rig.render(models, physics.qpos[ids], frame, tip, tool, noises, plants, self.images_due[ids])
 
     def take_views(self, ids: Ids, physics: AnyPhysics) -> list[View]:
         """Take a view with the camera of the task in some simulations."""

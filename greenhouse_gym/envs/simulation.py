@@ -172,6 +172,10 @@ class Simulation:
         fresh, _ = self._look(ids, contacts, self._counts.steps, memory)
         self.state = fresh if len(ids) == self.count else self._current_state().replaced(ids, fresh)
 
+    def set_images_due(self, i: int, due: bool) -> None:
+        """Set whether the next observations of a simulation have images; if not, these are zero, which saves time."""
+        self._perception.images_due[i] = due
+
     def close(self) -> None:
         """Free the simulations; the next reset creates new ones."""
         self._perception.close()

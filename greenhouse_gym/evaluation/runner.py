@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from greenhouse_gym.agents.agent import Agent, Problem
+from greenhouse_gym.agents.agent import Agent, Problem, reads_images
 from greenhouse_gym.common.isolation import MemoryLimit
 from greenhouse_gym.common.own_code import describe, printable
 from greenhouse_gym.envs import GreenhouseVectorEnv
@@ -179,6 +179,7 @@ class EpisodeRunner:
         index, where = self._chosen.popleft()
         env, seed = self._env, self._seed + index
         alone = np.arange(env.num_envs) == i
+        self._simulation.set_images_due(i, True)
         env.reset(seed=[seed if mine else None for mine in alone], options={**where, "reset_mask": alone})
         player = self._player(i)
         problem = Problem.of(self._simulation, i, seed, self._asked.knows_truth)
@@ -209,7 +210,8 @@ class EpisodeRunner:
             return
         if not self._shared:
             for i, run in playing:
-                self._ask(run, run.player.agent.act, select(observations, i), actions[i : i + 1])
+                images_due = self._ask(run, run.player.agent, select(observations, i), actions[i : i + 1])
+                self._simulation.set_images_due(i, images_due)
             return
         agent, deadline = self._players[0]
         began = time.perf_counter()
@@ -224,18 +226,27 @@ class EpisodeRunner:
             return
         spent = (time.perf_counter() - began) / len(playing)
         for (i, run), action in zip(playing, together, strict=True):
-            self._ask(run, np.asarray, action, actions[i : i + 1])
+            self._fill(run, partial(np.asarray, action), actions[i : i + 1])
             run.action_time += spent
 
-    def _ask(self, run: _Run, act: Callable[[Any], Any], observation: Any, action: Array) -> None:
-        """Fill in the next action (1, size) of a run."""
+    def _ask(self, run: _Run, agent: Agent, observation: Any, action: Array) -> bool:
+        """Fill in the next action (1, size) of a run; return whether its agent reads the next images."""
+        due = True
+
+        def act() -> Any:
+            nonlocal due
+            chosen = agent.act(observation)
+            due = reads_images(agent)
+            return chosen
+
+        self._fill(run, act, action)
+        return due
+
+    def _fill(self, run: _Run, act: Callable[[], Any], action: Array) -> None:
+        """Fill in the next action (1, size) of a run by a function, within the agent's time."""
         began = time.perf_counter()
-
-        def checked() -> Array:
-            return check_actions(np.asarray(act(observation))[None], 1, self._space)
-
         try:
-            action[:] = run.player.deadline.call(checked)
+            action[:] = run.player.deadline.call(lambda: check_actions(np.asarray(act())[None], 1, self._space))
         except Exception as error:
             self._fail(run, error)
         else:

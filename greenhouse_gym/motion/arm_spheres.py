@@ -49,6 +49,24 @@ class ArmSpheres:
         turned = np.einsum("bmxy,by->mbx", rotation[self.owner], self.inside)
         return np.asarray(position[self.owner].transpose(1, 0, 2) + turned)
 
+    def near(self, points: Array, configurations: Array, limit: float, moving: bool = False) -> npt.NDArray[np.bool_]:
+        """Return which points (n, 3) are within a distance of an arm in any of some configurations (m, j), (n,).
+
+        Args:
+            points: Metres.
+            configurations: Radians.
+            limit: The distance, metres.
+            moving: Leave out the spheres that stay in place.
+        """
+        from greenhouse_gym.motion.sphere_kernels import mark_near  # loads numba
+
+        centers, radius = self.centers(configurations), self.radius
+        if moving:
+            centers, radius = centers[:, self.moving], radius[self.moving]
+        near = np.empty(len(points), dtype=np.bool_)
+        mark_near(np.ascontiguousarray(points), np.ascontiguousarray(centers), radius, limit, near)
+        return near
+
 
 @lru_cache(maxsize=8)
 def arm_spheres(robot: Robot) -> ArmSpheres:

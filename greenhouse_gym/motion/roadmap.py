@@ -217,11 +217,9 @@ def _grown(
     """Yield new nodes with a free motion to one of the given nodes."""
     chosen = [nodes[k] for k in rng.integers(len(nodes), size=count)]
     before = np.array([node.configuration for node in chosen])
-    after = before.copy()
-    for configuration, node in zip(after, chosen, strict=True):
-        configuration += spread * rng.uniform(0.3, 1.0) * rng.normal(size=len(configuration))
-        np.clip(configuration, robot.lower, robot.upper, out=configuration)
-        robot.keep_tool_roll(configuration, node.configuration)
+    steps = [spread * rng.uniform(0.3, 1.0) * rng.normal(size=before.shape[1]) for _ in chosen]
+    after = np.clip(before + steps, robot.lower, robot.upper)
+    robot.keep_tool_roll(after, before)
     for k in np.flatnonzero(checker.motions_are_free(before, after, RESOLUTION)):
         yield chosen[k].preceded_by(after[k])
 

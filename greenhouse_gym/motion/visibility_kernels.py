@@ -1,4 +1,4 @@
-"""Kernel of the light that gets from many cameras to many points through a voxel map."""
+"""Kernels of what many cameras see of many points: the light that gets through a map, and lines of sight."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.common.jit import kernel
+from greenhouse_gym.geometry.voxel_kernels import cell_of
 
 Floats = npt.NDArray[np.float64]
 
@@ -83,3 +84,64 @@ def transmittances(
                         light = 0.0
                         break
             out[m, k] = light
+
+
+@kernel(
+    "void(f8[:,:,::1], f8[:,::1], f8[:,::1], b1[::1], f8[:,::1], f8[::1], i8[::1], f8, f8[::1], f8, f8, b1[:,::1])",
+    writes=("seen",),
+)
+def mark_seen(
+    turns: Floats,
+    origins: Floats,
+    points: Floats,
+    opaque: npt.NDArray[np.bool_],
+    pose: Floats,
+    low: Floats,
+    shape: npt.NDArray[np.int64],
+    cell: float,
+    limits: Floats,
+    step: float,
+    short: float,
+    seen: npt.NDArray[np.bool_],
+) -> None:
+    """Mark the points in view of each camera whose line of sight meets no opaque cell.
+
+    Args:
+        turns: (m, 3, 3) rotations base_from_camera.
+        origins: (m, 3) positions of the cameras, metres.
+        points: (k, 3) metres.
+        opaque: (size,) which cells of a grid hide what is behind them.
+        pose: (4, 4) pose of the base in the frame of the grid.
+        low: (3,) lower corner of the grid, metres.
+        shape: (3,) its number of cells.
+        cell: Side of a cell, metres.
+        limits: Smallest and largest depth, metres, and largest x and y at a depth of 1.
+        step: Distance between samples along a line of sight, metres.
+        short: Distance before its end in which nothing hides the point, metres.
+        seen: (m, k) result.
+    """
+    for m in range(len(origins)):
+        x, y, z = origins[m, 0], origins[m, 1], origins[m, 2]
+        for k in range(len(points)):
+            seen[m, k] = False
+            dx, dy, dz = points[k, 0] - x, points[k, 1] - y, points[k, 2] - z
+            depth = dx * turns[m, 0, 2] + dy * turns[m, 1, 2] + dz * turns[m, 2, 2]
+            if depth <= limits[0] or depth >= limits[1]:
+                continue
+            if abs(dx * turns[m, 0, 0] + dy * turns[m, 1, 0] + dz * turns[m, 2, 0]) >= limits[2] * depth:
+                continue
+            if abs(dx * turns[m, 0, 1] + dy * turns[m, 1, 1] + dz * turns[m, 2, 1]) >= limits[3] * depth:
+                continue
+            length, along, hidden = sqrt(dx * dx + dy * dy + dz * dz), step, False
+            while along < length - short and not hidden:
+                a = along / length
+                px, py, pz = x + dx * a, y + dy * a, z + dz * a
+                at = cell_of(
+                    pose[0, 0] * px + pose[0, 1] * py + pose[0, 2] * pz + pose[0, 3],
+                    pose[1, 0] * px + pose[1, 1] * py + pose[1, 2] * pz + pose[1, 3],
+                    pose[2, 0] * px + pose[2, 1] * py + pose[2, 2] * pz + pose[2, 3],
+                    low, shape, cell,
+                )  # fmt: skip
+                hidden = at >= 0 and opaque[at]
+                along += step
+            seen[m, k] = not hidden

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.geometry.voxels import cells_of, passed_cells
 
 Cells = npt.NDArray[np.int64]
 
@@ -39,20 +40,14 @@ class VoxelBox:
 
     def indices(self, points: Array) -> Cells:
         """Return the flat indices (n,) of the cells of points (n, 3), metres; -1 outside of the box."""
-        cells = np.floor((points - np.asarray(self.low)) / self.cell)
-        inside = ((cells >= 0) & (cells < self.shape)).all(axis=1)
-        x, y, z = np.where(inside[:, None], cells, 0).astype(np.int64).T
-        return np.where(inside, (x * self.shape[1] + y) * self.shape[2] + z, -1)
+        return cells_of(points, self.low, self.shape, self.cell)
 
-    def looked_through(self, origin: Array, rays: Array, free: Array) -> Cells:
-        """Return the flat indices, with repetitions, of the cells that a camera looks through.
+    def looked_through(self, origin: Array, rays: Array, free: Array) -> npt.NDArray[np.bool_]:
+        """Return which cells (size,) a camera looks through.
 
         Args:
             origin: (3,) position of the camera, metres.
             rays: (m, 3) directions of its pixels, of length 1 along the view.
             free: (m,) depth along the view up to which space is free, metres.
         """
-        depths = np.arange(0.5, free.max(initial=0.0) / self.cell) * self.cell
-        ray, step = np.nonzero(depths < free[:, None])
-        found = self.indices(origin + depths[step, None] * rays[ray])
-        return np.asarray(found[found >= 0])
+        return passed_cells(origin, rays, free, self.low, self.shape, self.cell)

@@ -156,6 +156,7 @@ class CameraRig:
         tool: Array,
         noises: Sequence[np.random.Generator | None],
         plants: Sequence[mujoco.MjData | None] | None = None,
+        due: npt.NDArray[np.bool_] | None = None,
     ) -> Images:
         """Render the images of all cameras.
 
@@ -167,15 +168,18 @@ class CameraRig:
             tool: (n, 3, 3) tool rotations, scene_from_tool.
             noises: Generator of each simulation's depth noise; None for noise-free images.
             plants: State of each simulation with plants that move; None if none does.
+            due: (n,) whether the images of each simulation are rendered; the others are zero. None renders all.
         """
+        count = len(models)
+        due = np.ones(count, dtype=np.bool_) if due is None else due
         scene_from_base, scene_from_tip = scene_from_bases(frame), np.zeros((len(tip), 4, 4))
         scene_from_tip[:, :3, :3], scene_from_tip[:, :3, 3], scene_from_tip[:, 3, 3] = tool, tip, 1.0
         views = _camera_poses(self.cameras, invert(scene_from_base) @ scene_from_tip)
         depth, color, geom = self._render_clean(
-            models, qpos, scene_from_base[:, None] @ views, plants or [None] * len(models)
+            models, qpos, scene_from_base[:, None] @ views, plants or [None] * count, due
         )
-        for own, noise in zip(depth, noises, strict=True):
-            if noise is not None:
+        for own, noise, rendered in zip(depth, noises, due, strict=True):
+            if noise is not None and rendered:
                 for c, camera in enumerate(self.cameras):
                     own[c] = _with_noise(own[c], camera, noise)
         return Images(depth, color, geom, views)
@@ -186,16 +190,17 @@ class CameraRig:
         qpos: Array,
         views: Array,
         plants: Sequence[mujoco.MjData | None],
+        due: npt.NDArray[np.bool_],
     ) -> tuple[Float32, Bytes, Geoms]:
         """Return noise-free depth, color and geoms from camera poses scene_from_camera (n, c, 4, 4)."""
         first = self.cameras[0]
         shape = (len(models), len(self.cameras), first.height, first.width)
-        depths = np.empty(shape, dtype=np.float32)
-        geoms = np.empty(shape if self._renders_geoms else (len(models), 0, 0, 0), dtype=np.int64)
-        colors = np.empty((*shape, 3) if self._renders_color else (len(models), 0, 0, 0, 3), dtype=np.uint8)
+        depths = np.zeros(shape, dtype=np.float32)
+        geoms = np.zeros(shape if self._renders_geoms else (len(models), 0, 0, 0), dtype=np.int64)
+        colors = np.zeros((*shape, 3) if self._renders_color else (len(models), 0, 0, 0, 3), dtype=np.uint8)
 
         def shoot(part: int) -> None:
-            for i in range(part, len(models), len(self._casters)):
+            for i in np.flatnonzero(due)[part :: len(self._casters)]:
                 for k in range(len(self.cameras)):
                     hits, directions = self._cast(self._casters[part], models[i], qpos[i], k, views[i, k], plants[i])
                     depths[i, k] = self._depth(hits, k).reshape(shape[2:])

@@ -110,9 +110,12 @@ class Robot:
         return not chain.sliding[-1] and bool((off_axis < _ALIGNED).all())
 
     def keep_tool_roll(self, configurations: Array, reference: Array) -> None:
-        """Give configurations (..., n) the tool roll of a reference (n,), in place; no effect on arms without one."""
+        """Give configurations (..., n) the tool roll of a reference (n,), in place; no effect on arms without one.
+
+        The reference may have more axes, as long as it can be broadcast.
+        """
         if self.rolls_tool:
-            configurations[..., -1] = reference[-1]
+            configurations[..., -1] = reference[..., -1]
 
     def spec(self) -> mujoco.MjSpec:
         """Return a new, editable MuJoCo specification of only the arm."""

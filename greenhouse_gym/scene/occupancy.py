@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, model_validat
 from greenhouse_gym.common.array_files import compress, decompress
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array, ShapeArrays, Vector
+from greenhouse_gym.geometry.voxels import cells_of
 
 UNKNOWN, FREE, OCCUPIED = 0, 1, 2
 """States of a voxel."""
@@ -83,11 +84,12 @@ class OccupancyGrid(BaseModel):
 
     def states_at(self, points: npt.ArrayLike) -> States:
         """Return the states (n,) of space at points (n, 3) of the scene."""
-        cells = np.floor((np.asarray(points, dtype=np.float64).reshape(-1, 3) - self.origin) / self.voxel)
-        inside = ((cells >= 0) & (cells < self.shape)).all(axis=1)
-        result = np.full(len(cells), UNKNOWN, dtype=np.uint8)
-        result[inside] = self.states[tuple(cells[inside].astype(np.int64).T)]
-        return result
+        cells = self.cells_of(points)
+        return np.where(cells < 0, np.uint8(UNKNOWN), self.states.reshape(-1)[cells])
+
+    def cells_of(self, points: npt.ArrayLike) -> npt.NDArray[np.int64]:
+        """Return the flat indices (n,) of the voxels of points (n, 3) of the scene; -1 outside of the grid."""
+        return cells_of(points, self.origin, self.shape, self.voxel)
 
     def is_known(self, points: npt.ArrayLike) -> npt.NDArray[np.bool_]:
         """Return whether space at points (n, 3) of the scene is free or occupied, (n,)."""

@@ -12,7 +12,7 @@ import pytest
 from greenhouse_gym.agents import FixedViewsAgent, NextBestViewAgent, RandomViewsAgent, make_agent
 from greenhouse_gym.agents.looking import OPACITY, CarvedSpace
 from greenhouse_gym.agents.occupancy_map import wrist_camera
-from greenhouse_gym.agents.viewpoints import visible
+from greenhouse_gym.agents.viewpoints import OpaqueCells, visible
 from greenhouse_gym.envs.tasks.look import MAP, RIPE
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.evaluation import AgentError, evaluate
@@ -71,15 +71,11 @@ def test_surfaces_and_the_arm_hide_what_is_behind_them() -> None:
     states[10, 20:40, 5:30] = OCCUPIED
     states[12, :20] = RIPE
     space.update(states)
-
-    def opaque(points: np.ndarray) -> np.ndarray:
-        cells = MAP.indices(points)
-        return np.asarray((cells >= 0) & (states.reshape(-1)[cells] >= OCCUPIED))
-
+    opaque = OpaqueCells(states >= OCCUPIED, np.array(MAP.low), MAP.cell)
     configurations = ARM.start + rng.normal(0, 0.3, (30, 6))
     points = rng.uniform([0.3, -0.6, -0.5], [0.9, 0.6, 0.3], (200, 3))
     free, hidden = (space.shown(configurations, points, opacity) for opacity in (np.zeros(4), OPACITY))
-    expected = visible(arm, configurations, points, lambda at: np.zeros(len(at), dtype=bool))
+    expected = visible(arm, configurations, points)
     assert ((free > 0) & expected).sum() == expected.sum()  # that one leaves out the edge of the image
     assert (free > 0).mean() < 1.2 * expected.mean()
     with_arm = CarvedSpace(arm, ARM.start)

@@ -14,12 +14,15 @@ from occupancy_helpers import known_where, with_surface_at
 from greenhouse_gym.agents import Problem, watchful
 from greenhouse_gym.agents.agent import Agent
 from greenhouse_gym.agents.local_map import CLEARANCE, LocalMap
+from greenhouse_gym.agents.occupancy_map import wrist_camera
 from greenhouse_gym.agents.planner_agent import PathFollower
-from greenhouse_gym.agents.viewpoints import DEPTHS, MIN_GAIN, initial_view, viewpoints, visible
+from greenhouse_gym.agents.viewpoints import DEPTHS, MIN_GAIN, OpaqueCells, initial_view, viewpoints, visible
 from greenhouse_gym.agents.watchful import CAUTION_DEPTHS, WatchfulAgent, caution_levels
 from greenhouse_gym.envs import GreenhouseEnv
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.geometry import Box, distance_to_shapes
+from greenhouse_gym.evaluation import evaluate
+from greenhouse_gym.geometry import Box, distance_to_shapes, pose, rotation_about, transform
+from greenhouse_gym.geometry.voxels import cells_of
 from greenhouse_gym.motion.arm_spheres import ArmSpheres, arm_spheres
 from greenhouse_gym.motion.caution import CautionLevel, unexplained_cells, with_margin
 from greenhouse_gym.motion.collision import CollisionChecker, planning_model
@@ -27,7 +30,7 @@ from greenhouse_gym.motion.goals import GoalSampler
 from greenhouse_gym.motion.joint_reaches import arm_reaches
 from greenhouse_gym.motion.roadmap import Roadmap, SceneRoadmaps
 from greenhouse_gym.planning import PlanResult
-from greenhouse_gym.rendering.cameras import MAX_RANGE, DepthCamera
+from greenhouse_gym.rendering.cameras import MAX_RANGE, CameraRig, DepthCamera
 from greenhouse_gym.robots import get_robot
 from greenhouse_gym.robots.kinematics import tool_state
 from greenhouse_gym.scene import Scene, compile_scene
@@ -374,17 +377,64 @@ def test_a_surface_without_a_shape_is_dark_until_the_camera_has_looked(scene: Sc
 
 def test_a_view_shows_what_is_before_the_camera_and_not_hidden(arm: ArmSpheres) -> None:
     places = np.random.default_rng(1).uniform([0.4, -0.3, 0.1], [0.7, 0.3, 0.6], (40, 3))
-    sees = partial(visible, arm, points=places, occluder=lambda at: np.zeros(len(at), bool))
+    sees = partial(visible, arm, points=places)
     found = list(viewpoints(ARM, START, sees, np.random.default_rng(0)))
     assert len(found) > 10
     assert all(seen.mean() >= MIN_GAIN for _, seen in found)
     best = np.array([view for view, _ in found])
-    seen = visible(arm, best, places, lambda at: np.zeros(len(at), bool))
+    seen = visible(arm, best, places)
     assert np.array_equal(seen, [shown for _, shown in found])
-    assert not visible(arm, best, places + [2 * DEPTHS[1], 0, 0], lambda at: np.zeros(len(at), bool)).any()
-    behind = visible(arm, best, places, lambda at: at[:, 0] > 0.3)
+    assert not visible(arm, best, places + [2 * DEPTHS[1], 0, 0]).any()
+    wall = OpaqueCells(np.ones((1, 1, 1), dtype=bool), np.array([0.3, -5.0, -5.0]), 10.0)
+    behind = visible(arm, best, places, wall)
     assert behind.sum() < seen.sum()
     assert not (behind & ~seen).any()
+
+
+def test_a_view_is_that_of_samples_along_each_line_of_sight(arm: ArmSpheres) -> None:
+    random = np.random.default_rng(2)
+    configurations = ARM.starts["ready"] + random.normal(0, 0.3, (20, 6))
+    places = random.uniform([0.3, -0.6, -0.6], [1.2, 0.6, 0.3], (80, 3))
+    cells = random.uniform(size=(8, 9, 7)) < 0.15
+    turn = pose(rotation_about([0.2, 0.1, 1.0], 0.4), [0.1, 0.2, 0.7])
+    grid = OpaqueCells(cells, np.array([0.2, -0.4, 0.0]), 0.15, turn)
+    seen, all_in_view = visible(arm, configurations, places, grid), visible(arm, configurations, places)
+    _, origins = wrist_camera(arm.chain, configurations)
+    expected = all_in_view.copy()
+    for m, k in np.argwhere(all_in_view):
+        offset = places[k] - origins[m]
+        length = np.linalg.norm(offset)
+        along = np.arange(0.04, length - 0.08, 0.04)
+        found = cells_of(transform(turn, origins[m] + along[:, None] / length * offset), grid.low, cells.shape, 0.15)
+        expected[m, k] = not cells.reshape(-1)[found[found >= 0]].any()
+    assert 0.2 < expected.sum() / all_in_view.sum() < 0.95
+    assert (seen != expected).sum() <= 1  # a sample may lie at the face of a cell
+
+
+def test_images_that_it_does_not_read_are_not_rendered(monkeypatch: pytest.MonkeyPatch) -> None:
+    rendered: list[bool] = []
+    render = CameraRig.render
+
+    def counted(rig: CameraRig, *arguments: Any) -> Any:
+        rendered.extend(arguments[-1])
+        return render(rig, *arguments)
+
+    def outcomes(num_envs: int) -> list[tuple[int, bool, int, float, str]]:
+        rendered.clear()
+        records = evaluate(WatchfulAgent(), "train", episodes=6, bank="mini", num_envs=num_envs, progress=False).records
+        return [(r.seed, r.success, r.steps, r.joint_length, r.status) for r in records]
+
+    monkeypatch.setattr(CameraRig, "render", counted)
+    lazy = outcomes(1)
+    assert 0.4 < np.mean(rendered) < 0.7
+    count = len(rendered)
+    assert outcomes(3) == lazy
+    with monkeypatch.context() as patched:
+        patched.setattr(WatchfulAgent, "reads_images", True)
+        assert outcomes(1) == lazy
+    assert all(rendered)
+    assert len(rendered) == count
+    assert any(steps > 30 for _, _, steps, _, _ in lazy)
 
 
 def test_the_initial_view_moves_the_wrist_only(arm: ArmSpheres) -> None:
@@ -398,5 +448,5 @@ def test_the_initial_view_moves_the_wrist_only(arm: ArmSpheres) -> None:
 
 def first_viewpoint(point: np.ndarray) -> np.ndarray:
     """The best configuration (j,) to look at a point (3,) that nothing occludes."""
-    sees = partial(visible, arm_spheres(ARM), points=point[None], occluder=lambda at: np.zeros(len(at), bool))
+    sees = partial(visible, arm_spheres(ARM), points=point[None])
     return next(viewpoints(ARM, START, sees, np.random.default_rng(0)))[0]

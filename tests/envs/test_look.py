@@ -239,4 +239,4 @@ def test_cells_of_a_box_and_those_that_rays_pass() -> None:
     assert np.array_equal(box.indices(box.centers), np.arange(box.size))
     assert box.indices(np.array([[-0.01, 0.1, 0.1], [0.41, 0.1, 0.1], [np.nan, 0.1, 0.1]])).tolist() == [-1, -1, -1]
     passed = box.looked_through(np.array([-0.1, 0.15, 0.05]), np.array([[1.0, 0.0, 0.0]]), np.array([0.35]))
-    assert set(passed) == set(box.indices(np.array([[x, 0.15, 0.05] for x in (0.05, 0.15)])))
+    assert set(np.flatnonzero(passed)) == set(box.indices(np.array([[x, 0.15, 0.05] for x in (0.05, 0.15)])))

@@ -10,7 +10,7 @@ import pytest
 from foreign_arms import write_arm
 
 from greenhouse_gym.motion.arm_spheres import arm_spheres
-from greenhouse_gym.robots import load_robot
+from greenhouse_gym.robots import get_robot, load_robot
 from greenhouse_gym.robots.tool import mount_tool
 from greenhouse_gym.scene.mjcf import base_position, compile_scene
 from greenhouse_gym.scene.obstacles import Surroundings
@@ -50,3 +50,21 @@ def on_the_surface(kind: str, size: np.ndarray, random: np.random.Generator) -> 
         )
     places = random.uniform(-1.2, 1.2, (400, 3)).clip(-1, 1) * size
     return places[(np.abs(places) == size).any(axis=1)]
+
+
+def test_points_near_the_arm_in_any_of_some_configurations() -> None:
+    robot = get_robot("ur5e")
+    arm, random = arm_spheres(robot), np.random.default_rng(0)
+    points = random.uniform([-0.6, -1.0, -0.8], [1.0, 1.0, 0.9], (3_000, 3))
+    configurations = robot.start + random.normal(0, 0.6, (5, 6))
+    centers = arm.centers(configurations)
+    gaps = np.linalg.norm(points[:, None, None] - centers, axis=-1) - arm.radius  # (n, m, b)
+    for limit in (0.0, 0.05, -0.01):
+        expected = gaps.min(axis=(1, 2)) <= limit
+        assert 0 < expected.sum() < len(points)
+        assert np.array_equal(arm.near(points, configurations, limit), expected)
+        moving = gaps[..., arm.moving].min(axis=(1, 2)) <= limit
+        assert moving.sum() <= expected.sum()
+        assert np.array_equal(arm.near(points, configurations, limit, moving=True), moving)
+    assert not arm.near(points, configurations[:0], 0.1).any()
+    assert arm.near(points[:0], configurations, 0.1).shape == (0,)

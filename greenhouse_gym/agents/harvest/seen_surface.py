@@ -7,7 +7,6 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import binary_dilation, maximum_filter, minimum_filter
-from scipy.spatial.distance import cdist
 
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.arm_spheres import ArmSpheres
@@ -50,8 +49,7 @@ class SeenSurface:
         kept = ~self._gone(depth, *view)
         new = np.flatnonzero((depth > 0) & (depth < _FAR))
         new = new[_first(points[new])]
-        apart = cdist(points[new], self._arm.centers(joints[None])[0]) - self._arm.radius
-        new = new[apart.min(axis=1) > _ARM]
+        new = new[~self._arm.near(points[new], joints[None], _ARM)]
         new = new[~self._known(points[new])]
         broad = self._broad(depth)[new]
         # the newer the nearer, and the nearer the better a thing shows its width

@@ -182,7 +182,7 @@ def carved(chart: npt.NDArray[np.uint8], view: View, ripe: Bools) -> npt.NDArray
     cells, rays, origin = chart.reshape(-1).copy(), view.camera.rays, view.pose[:3, 3]
     turned = (rays[:, None, :] * view.pose[:3, :3]).sum(axis=-1)
     through = MAP.looked_through(origin, turned, view.reading.free.reshape(-1) - MAP.cell / 2)
-    cells[through[cells[through] == UNKNOWN]] = FREE
+    cells[through & (cells == UNKNOWN)] = FREE
     surface = (view.reading.depth > 0) & ~view.on_arm
     points = transform(view.pose, rays[surface.reshape(-1)] * view.reading.depth[surface][:, None])
     hit, tomato = MAP.indices(points), view.tomato[surface]
