@@ -55,6 +55,13 @@ def reached(agent: str) -> str:
     return percent(truth.success_rate, len(truth.records))
 
 
+def harvested() -> str:
+    """Return what the scanning harvester crates of the ripe fruit of true test stands."""
+    entry = read("harvest.json")["entries"]["test, stand, harvest-scan"]
+    rate, low, high = (100 * value for value in entry["harvested"])
+    return f"**{rate:.0f} %** [{low:.0f}, {high:.0f}] of {entry['fruit']:,}"
+
+
 def lesson() -> str:
     """Return what the ten lines reach on easy targets of own test rows, over all seeds."""
     return pooled(read("first_lesson.json")["entries"]["ten lines"]["seeds"].values())
@@ -88,6 +95,7 @@ def main() -> None:
         ("[drift](docs/results/drift.md) of a reconstructed row of 5 m", drift()),
         ("[reached in the true row](docs/results/agents.md), trusting the scan (`RRTConnect`)", reached("RRTConnect")),
         ("[reached in the true row](docs/results/agents.md), looking first (`watchful`)", reached("watchful")),
+        ("[ripe fruit crated](docs/results/harvest.md) in true stands, by scan and wrist camera", harvested()),
         ("[learned in 4 minutes on one core](docs/results/learning.md), easy own targets, as scanned", lesson()),
         ("[in 30 minutes](docs/results/learning.md), the same; `ppo-ur5e` behind a shield", half_an_hour()),
         ("[steps per second](docs/results/speed.md), 256 simulations on two cores", speed()),

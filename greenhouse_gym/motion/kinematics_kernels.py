@@ -24,6 +24,7 @@ _C0, _C1, _C2, _C3, _C4, _C5, _C6, _C7 = (-1.0 / ((2 * k + 1) * (2 * k + 2)) for
 _TRIAL, _PROGRESS = 4, 0.7
 """Iterations after which a guess within a threshold is given up if its error is more than this fraction of that two
 iterations before: 98 of 100 guesses that would end on the target still do, in half as many iterations of all."""
+_ROOM = 0.01  # radians or metres between its limits below which a joint is parked: corrections are left to the others
 
 
 @inlined
@@ -238,9 +239,9 @@ def bring_onto(
             for j in range(n):
                 along = (frames[j, 15], frames[j, 16], frames[j, 17])
                 arm = (at[0] - frames[j, 12], at[1] - frames[j, 13], at[2] - frames[j, 14])
-                slides = joints[j, 15] > 0.0
-                column = along if slides else _cross(along, arm)
-                turns = 0.0 if slides or outside == 0.0 else weight
+                slides, parked = joints[j, 15] > 0.0, upper[j] - lower[j] < _ROOM
+                column = (0.0, 0.0, 0.0) if parked else along if slides else _cross(along, arm)
+                turns = 0.0 if slides or parked or outside == 0.0 else weight
                 for k in range(3):
                     jacobian[k, j], jacobian[3 + k, j] = column[k], turns * along[k]
             for i in range(rows):

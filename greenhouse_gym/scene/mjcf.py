@@ -226,7 +226,7 @@ def _without_obstacles(
         return _compiled(spec, scene, robot, capacity)
 
 
-_RAIL = 0.004  # metres: height of the rail that a cart slides on
+_RAIL, _OVER_RAIL = 0.004, 0.02  # metres: height of the rail that a cart slides on, and gap that no plan's margin fills
 _editing = threading.Lock()  # of the shared specifications
 
 
@@ -293,8 +293,9 @@ def _place_arm(spec: mujoco.MjSpec, scene: Surroundings, robot: Robot) -> None:
             )
             back = np.empty(4)
             mujoco.mju_negQuat(back, _base_rotation(robot))
-            column.size, column.quat = [CART_HALF_WIDTH, CART_HALF_WIDTH, half - _RAIL], back
-            mujoco.mju_rotVecQuat(column.pos, np.array([0.0, 0.0, floor + half + _RAIL - position[2]]), back)
+            raised = (_RAIL + _OVER_RAIL) / 2
+            column.size, column.quat = [CART_HALF_WIDTH, CART_HALF_WIDTH, half - raised], back
+            mujoco.mju_rotVecQuat(column.pos, np.array([0.0, 0.0, floor + half + raised - position[2]]), back)
             cart.size = [CART_HALF_WIDTH, CART_HALF_WIDTH + float(robot.upper[0] - robot.lower[0]) / 2, _RAIL / 2]
             cart.pos = [position[0], position[1], floor + _RAIL / 2]
 

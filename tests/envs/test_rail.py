@@ -10,11 +10,17 @@ import pytest
 
 from greenhouse_gym.agents.agent import Problem
 from greenhouse_gym.agents.harvest.harvester import OracleHarvester
+from greenhouse_gym.agents.harvest.picking import pointing_down
 from greenhouse_gym.agents.harvest.rail import drive, parked_at, stops_of
 from greenhouse_gym.envs import make_env
 from greenhouse_gym.envs.environment import GreenhouseEnv
 from greenhouse_gym.errors import FileFormatError, InvalidValueError
+from greenhouse_gym.motion.collision import MARGIN, CollisionChecker, set_margin
+from greenhouse_gym.motion.joint_reaches import arm_reaches
 from greenhouse_gym.robots import ROBOTS, get_robot, mount_on_rail
+from greenhouse_gym.robots.kinematics import tool_chain, tool_state
+from greenhouse_gym.scene import compile_scene
+from greenhouse_gym.scene.obstacles import Surroundings
 
 OPTIONS: dict[str, Any] = {
     "bank": "mini", "task": "harvest", "size": "row", "plants": "compliant", "physics": "truth",
@@ -64,6 +70,32 @@ def test_cart_arm_and_crate_drive_together_along_the_row(arm: Path) -> None:
     features = {name: slice(21 + 3 * k, 24 + 3 * k) for k, name in enumerate(("tip", "axis"))}
     np.testing.assert_allclose(last[features["tip"]] - first[features["tip"]], [0.0, 0.5, 0.0], atol=2e-3)
     np.testing.assert_allclose(last[features["axis"]], first[features["axis"]], atol=2e-3)
+
+
+@pytest.mark.parametrize("stop", [-0.5, -0.1, 0.0, 0.5])
+def test_no_stop_is_too_near_to_the_rail_for_a_plan(arm: Path, stop: float) -> None:
+    for robot in (get_robot(arm), parked_at(get_robot(arm), stop)):
+        model = compile_scene(Surroundings(name="bare"), robot).model
+        set_margin(model, np.flatnonzero(model.geom_bodyid == 0), MARGIN)
+        checker = CollisionChecker(model, arm_reaches(robot))
+        start = robot.start.copy()
+        start[0] = stop
+        assert checker.is_free(start)
+
+
+def test_a_parked_arm_finds_as_many_configurations_as_one_without_a_rail(arm: Path) -> None:
+    found = []
+    for robot in (get_robot("ur5e"), parked_at(get_robot(arm), 0.0), parked_at(get_robot(arm), 0.5)):
+        compiled = compile_scene(Surroundings(name="bare"), robot)
+        chain, along = tool_chain(compiled.model, compiled.tip_site), 0.5 * (robot.lower[0] > 0.4)
+        point = np.array([-0.05, 0.45 + along, 0.75])
+        goals = pointing_down(chain, robot, robot.start, point, seed=0)
+        state = tool_state(chain, goals, 0.0)
+        assert np.linalg.norm(state.point - point, axis=1).max() < 2e-3
+        assert ((goals >= robot.lower) & (goals <= robot.upper)).all()
+        found.append(len(goals))
+    assert found[0] >= 40
+    assert min(found[1:]) > 0.8 * found[0]
 
 
 @pytest.mark.slow
