@@ -421,7 +421,7 @@ def test_images_that_it_does_not_read_are_not_rendered(monkeypatch: pytest.Monke
 
     def outcomes(num_envs: int) -> list[tuple[int, bool, int, float, str]]:
         rendered.clear()
-        records = evaluate(WatchfulAgent(), "train", episodes=6, bank="mini", num_envs=num_envs, progress=False).records
+        records = evaluate(WatchfulAgent(), "train", episodes=3, bank="mini", num_envs=num_envs, progress=False).records
         return [(r.seed, r.success, r.steps, r.joint_length, r.status) for r in records]
 
     monkeypatch.setattr(CameraRig, "render", counted)

@@ -163,6 +163,8 @@ class _Pick:
             goals = pointing_down(trial.chain, self._robot, trial.command, self._above_crate(trial), self._problem.seed)
             if self._follow(trial, scene, far, loaded, goals, 0):
                 break
+        else:
+            return False
         if not self._goes_on(trial, fruit):
             return False
         for _ in range(_DROPS):
