@@ -25,7 +25,7 @@ from greenhouse_gym.rendering.picture_files import write_film
 from greenhouse_gym.rendering.renderer import Viewpoint
 
 GALLERY = ROOT / "docs" / "gallery"
-SCENE, TARGET = "own-cherry-2034-w02-02", 29
+SCENE, TARGET = "own-cherry-2034-w02-00", 53
 AGENTS = {"ShortcutConnect": "plans on the scan alone", "watchful": "looks before it moves"}
 VIEW = Viewpoint((-1.0, -1.55, 1.75), (0.3, 0.0, 1.2), 50.0)
 WIDTH, HEIGHT, TITLE = 400, 420, 26
