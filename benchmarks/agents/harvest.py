@@ -3,7 +3,7 @@
 python -m benchmarks.agents.harvest --sizes pick stand --episodes 100 --workdir /tmp/harvest
 python -m benchmarks.agents.harvest --entry benchmarks/leaderboard/harvest-scan.json
 python -m benchmarks.agents.harvest --agent ppo-pick-ur5e --sizes pick --episodes 500 --seed 20000
-python -m benchmarks.agents.harvest --sizes row --episodes 10 --workdir /tmp/harvest
+python -m benchmarks.agents.harvest --sizes row --episodes 20 --workdir /tmp/harvest
 python -m benchmarks.agents.harvest --agent truss-cutter --sizes truss --episodes 100 --workdir /tmp/harvest
 python -m benchmarks.agents.harvest --bank mini --split train --sizes pick --episodes 4 --results /tmp/harvest.json
 
