@@ -192,5 +192,6 @@ def test_a_shipped_recording_is_built_again(tmp_path: Path) -> None:
     recording = next(shipped.row_recordings())
     made, bank = SceneBank.open(build_part(recording, tmp_path, shipped.DESCRIPTION)), SceneBank.open("default")
     assert made.names() == [name for name in bank.names() if name.startswith(f"{recording.name}-")]
+    # on another kind of processor, sums round differently in places, and the scenes differ by tenths of a millimetre
     for name in made.names():
         assert made.scene(name).model_dump_json() == bank.scene(name).model_dump_json(), name
