@@ -7,13 +7,24 @@ from math import floor, sqrt
 import numpy as np
 import numpy.typing as npt
 
-from greenhouse_gym.common.jit import kernel
+from greenhouse_gym.common.jit import inlined, kernel
 from greenhouse_gym.geometry.voxel_kernels import cell_of
 
 Floats = npt.NDArray[np.float64]
 
 SHORT = 2
 """Last cells before a point, in which nothing hides it."""
+
+
+@inlined
+def _in_view(dx, dy, dz, turn, limits):
+    """Return whether a point, given from the camera, is within its depths and in its image; see the kernels."""
+    z = dx * turn[0, 2] + dy * turn[1, 2] + dz * turn[2, 2]
+    return (
+        limits[0] < z < limits[1]
+        and abs(dx * turn[0, 0] + dy * turn[1, 0] + dz * turn[2, 0]) < limits[2] * z
+        and abs(dx * turn[0, 1] + dy * turn[1, 1] + dz * turn[2, 1]) < limits[3] * z
+    )
 
 
 @kernel(
@@ -52,12 +63,7 @@ def transmittances(
         for k in range(len(points)):
             out[m, k] = 0.0
             dx, dy, dz = points[k, 0] - origins[m, 0], points[k, 1] - origins[m, 1], points[k, 2] - origins[m, 2]
-            z = dx * turns[m, 0, 2] + dy * turns[m, 1, 2] + dz * turns[m, 2, 2]
-            if z <= limits[0] or z >= limits[1]:
-                continue
-            if abs(dx * turns[m, 0, 0] + dy * turns[m, 1, 0] + dz * turns[m, 2, 0]) >= limits[2] * z:
-                continue
-            if abs(dx * turns[m, 0, 1] + dy * turns[m, 1, 1] + dz * turns[m, 2, 1]) >= limits[3] * z:
+            if not _in_view(dx, dy, dz, turns[m], limits):
                 continue
             length = sqrt(dx * dx + dy * dy + dz * dz)
             light = 1.0
@@ -125,12 +131,7 @@ def mark_seen(
         for k in range(len(points)):
             seen[m, k] = False
             dx, dy, dz = points[k, 0] - x, points[k, 1] - y, points[k, 2] - z
-            depth = dx * turns[m, 0, 2] + dy * turns[m, 1, 2] + dz * turns[m, 2, 2]
-            if depth <= limits[0] or depth >= limits[1]:
-                continue
-            if abs(dx * turns[m, 0, 0] + dy * turns[m, 1, 0] + dz * turns[m, 2, 0]) >= limits[2] * depth:
-                continue
-            if abs(dx * turns[m, 0, 1] + dy * turns[m, 1, 1] + dz * turns[m, 2, 1]) >= limits[3] * depth:
+            if not _in_view(dx, dy, dz, turns[m], limits):
                 continue
             length, along, hidden = sqrt(dx * dx + dy * dy + dz * dz), step, False
             while along < length - short and not hidden:

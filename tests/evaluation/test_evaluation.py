@@ -215,6 +215,41 @@ def untimed(evaluation: Evaluation) -> list[Record]:
     return [replace(r, **MEASURED) for r in evaluation.records]
 
 
+class Glancing(StillAgent):
+    """Reads every third image of an episode; remembers which images were not zero."""
+
+    name = "glancing"
+    env_options = {"observation": "depth"}  # noqa: RUF012
+
+    def __init__(self, flawed: bool = False) -> None:
+        super().__init__()
+        self.flawed, self.episodes = flawed, list[list[bool]]()
+
+    def reset(self, problem: Problem) -> None:
+        super().reset(problem)
+        self.episodes.append([])
+
+    def act(self, observation: Any) -> Any:
+        self.episodes[-1].append(bool(observation["depth"].any()))
+        return super().act(observation)
+
+    @property
+    def reads_images(self) -> bool:
+        if self.flawed and len(self.episodes) > 1:
+            raise RuntimeError("no idea")
+        return len(self.episodes[-1]) % 3 == 0
+
+
+def test_images_that_an_agent_does_not_read_are_zero(bank: SceneBank) -> None:
+    agent = Glancing()
+    evaluate(agent, episodes=2, bank=bank, step_limit=7, progress=False)
+    assert agent.episodes == [[True, False, False, True, False, False, True]] * 2
+    flawed = evaluate(Glancing(flawed=True), episodes=2, bank=bank, step_limit=7, progress=False)
+    first, second = flawed.records
+    assert (first.failure, first.steps) == ("", 7)
+    assert "no idea" in second.failure
+
+
 class Flawed(StillAgent):
     """Acts well at first, and from its second episode's third action on in its own way."""
 
