@@ -17,13 +17,21 @@ from greenhouse_gym.envs.state import ControlTiming, Ids
 from greenhouse_gym.envs.world import World
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
-from greenhouse_gym.scene.geom_order import ShortGeomLists, compiled_geom_id, put_arm_first, put_world_first
+from greenhouse_gym.scene.geom_order import (
+    ShortGeomLists,
+    compiled_geom_id,
+    copy_bodies,
+    first_world_geom,
+    put_arm_first,
+    put_world_first,
+)
 from greenhouse_gym.scene.plants.cutting import CutterPlants
-from greenhouse_gym.scene.plants.layout import CRATE_BOXES, Layout, SlotIds
+from greenhouse_gym.scene.plants.layout import Layout
 from greenhouse_gym.scene.plants.live import Felt, LivePlants
 from greenhouse_gym.scene.plants.row import RowPlants
+from greenhouse_gym.scene.plants.slots import Planted, plant
 
-_FRUIT, _STEM, _LEAF, _FIXTURE, _SELF = range(len(CONTACT_GROUPS))
+_FRUIT, _STEM, _LEAF, _, _SELF = range(len(CONTACT_GROUPS))
 _PRESSED = (_FRUIT, _STEM)  # groups that a pressing force damages
 
 
@@ -100,20 +108,27 @@ class CompliantPhysics:
         """Return the state of a simulation."""
         return self.simulation(i).data
 
-    def load(self, i: int, world: World, targets: Sequence[int], disturbance: Disturbance) -> None:
-        """Copy a world into a simulation; takes effect with the next `place`."""
-        assert world.planted is not None
-        model = copy.copy(world.compiled.model)
-        model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_SLEEP)
-        groups = geom_groups(world, world.planted.ids)
-        put_arm_first(model)
-        groups = np.roll(groups, -int(model.body_geomnum[0])) if model.body_geomadr[0] else groups
+    def load(
+        self, i: int, world: World, targets: Sequence[int], disturbance: Disturbance, planted: Planted | None
+    ) -> None:
+        """Copy a world with its plants into a simulation; takes effect with the next `place`."""
+        assert planted is not None
+        source, old = world.compiled.model, self._sims[i]
+        if old is None:
+            model = copy.copy(source)
+            model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_SLEEP)
+            put_arm_first(model)
+            data = mujoco.MjData(model)
+        else:
+            model, data = old.model, old.data
+            world.load(model, (), old.world)
+            copy_bodies(source, model)
+        plant(model, planted, self._layout, self._scratch)
+        groups = np.roll(world.groups, first_world_geom(model))
         if disturbance.shift.any() or disturbance.yaw:
             displace_base(model, world.frame[3:], disturbance.shift, disturbance.yaw)
-        old = self._sims[i]
-        data = mujoco.MjData(model) if old is None else old.data
         kind = CutterPlants if self._layout.cutter else RowPlants if world.compiled.robot.on_rail else LivePlants
-        plants = kind(model, data, self._scratch, world.planted, self._layout)
+        plants = kind(model, data, self._scratch, planted, self._layout)
         self._sims[i] = CompliantSimulation(model, data, plants, groups, ShortGeomLists([model]), world)
         self._felt[i] = Felt(np.zeros(3))
 
@@ -275,26 +290,6 @@ def _check_crate(sim: CompliantSimulation) -> None:
                 f"the crate is in the arm's way at its start ({names}): move it, as in "
                 "TomatoHarvest(layout=Layout(crate=Crate(position=...))), or choose another start"
             )
-
-
-def geom_groups(world: World, ids: SlotIds) -> npt.NDArray[np.int8]:
-    """Return the index (geoms,) into `CONTACT_GROUPS` of each geom of a compiled scene with slots."""
-    model, groups = world.compiled.model, world.groups.copy()
-
-    def mark(body: int, group: int) -> None:
-        first = int(model.body_geomadr[body])
-        groups[first : first + int(model.body_geomnum[body])] = group
-
-    for body in (*ids.truss, *ids.cut):
-        mark(int(body), _STEM)
-    for body in (*ids.fruit.ravel(), *ids.cut_fruit.ravel(), *ids.loose):
-        mark(int(body), _FRUIT)
-    for body in ids.leaf:
-        mark(int(body), _LEAF)
-    mark(ids.crate, _FRUIT)
-    first = int(model.body_geomadr[ids.crate])
-    groups[first : first + CRATE_BOXES] = _FIXTURE
-    return groups
 
 
 def _copied(sim: CompliantSimulation) -> CompliantSimulation:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import mujoco
@@ -11,6 +12,7 @@ import numpy.typing as npt
 from greenhouse_gym.envs.state import Bools
 from greenhouse_gym.scene import CompiledScene
 from greenhouse_gym.scene.geom_order import first_world_geom
+from greenhouse_gym.scene.plants.layout import CRATE_BOXES, SlotIds
 
 CONTACT_GROUPS = ("fruit", "stem", "leaf", "fixture", "self")
 """Groups of contacts by the arm's counterpart. Leaves are all clutter that gives way, see
@@ -60,8 +62,13 @@ class Contacts(NamedTuple):
     first: dict[int, Contact]
 
 
-def geom_groups(compiled: CompiledScene) -> Groups:
-    """Return the index (geoms,) into `CONTACT_GROUPS` of each geom of a compiled scene; the arm's are in "self"."""
+def geom_groups(compiled: CompiledScene, ids: SlotIds | None = None) -> Groups:
+    """Return the index (geoms,) into `CONTACT_GROUPS` of each geom of a compiled scene; the arm's are in "self".
+
+    Args:
+        compiled: The scene.
+        ids: Ids of its slots for organs that give way; None if there are none.
+    """
     scene, slots, world = compiled.scene, compiled.obstacle_geoms, int(compiled.model.body_geomnum[0])
     groups = np.full(compiled.model.ngeom, _SELF, dtype=np.int8)
     groups[:world] = _FIXTURE
@@ -69,7 +76,20 @@ def geom_groups(compiled: CompiledScene) -> Groups:
     kinds += ["fixture" if kind in _FIXTURES else "stem" for kind in scene.columns.stem_kinds]
     groups[slots.start : slots.start + len(kinds)] = [CONTACT_GROUPS.index(kind) for kind in kinds]
     groups[compiled.leaf_geoms] = LEAF
+    if ids is not None:
+        _mark(groups, compiled.model, [*ids.truss, *ids.cut], "stem")
+        _mark(groups, compiled.model, [*ids.fruit.ravel(), *ids.cut_fruit.ravel(), *ids.loose, ids.crate], "fruit")
+        _mark(groups, compiled.model, ids.leaf, "leaf")
+        crate = int(compiled.model.body_geomadr[ids.crate])
+        groups[crate : crate + CRATE_BOXES] = _FIXTURE
     return groups
+
+
+def _mark(groups: Groups, model: mujoco.MjModel, bodies: Iterable[int], group: str) -> None:
+    """Put the geoms of bodies into a group."""
+    for body in bodies:
+        first = int(model.body_geomadr[body])
+        groups[first : first + int(model.body_geomnum[body])] = CONTACT_GROUPS.index(group)
 
 
 def contact_groups(model: mujoco.MjModel, geoms: npt.NDArray[np.integer], groups: Groups) -> Groups:

@@ -85,7 +85,8 @@ class Perception:
 
     def begin(self, i: int, setup: Setup) -> None:
         """Prepare a new episode of a simulation."""
-        episode, world, disturbance = self._setups[i] = setup
+        self._setups[i] = setup
+        episode, world, disturbance, _ = setup
         self._joint_offset[i] = disturbance.joints
         self._field[i] = world.field
         self._frame[i] = world.frame
@@ -101,7 +102,7 @@ class Perception:
             index: Index into the targets of the episode.
             start: (j,) joint positions from which the roadmap leads to the target, radians.
         """
-        episode, world, disturbance = self._setups[i]
+        episode, world, disturbance, _ = self._setups[i]
         target = episode.targets[index]
         self._remaining[i] = len(episode.targets) - index
         self._target[i] = world.tomatoes[target, :3] + disturbance.target

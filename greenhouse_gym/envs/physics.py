@@ -19,6 +19,7 @@ from greenhouse_gym.envs.world import World
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.leaf_contacts import LeafContacts
 from greenhouse_gym.scene.geom_order import compiled_geom_id, put_arm_first
+from greenhouse_gym.scene.plants.slots import Planted
 
 _SLEEP = int(mujoco.mjtEnableBit.mjENBL_SLEEP)
 
@@ -42,7 +43,9 @@ class AnyPhysics(Protocol):
     @property
     def command(self) -> Array: ...  # noqa: D102
 
-    def load(self, i: int, world: World, targets: Sequence[int], disturbance: Disturbance) -> None:
+    def load(
+        self, i: int, world: World, targets: Sequence[int], disturbance: Disturbance, planted: Planted | None
+    ) -> None:
         """Copy a world into the model of a simulation."""
 
     def place(self, ids: Ids, configurations: Array) -> Contacts:
@@ -132,8 +135,10 @@ class Physics:
         """(n, j) commanded joint positions, radians, live."""
         return self._stepper.command
 
-    def load(self, i: int, world: World, targets: Sequence[int], disturbance: Disturbance) -> None:
-        """Copy a world into the model of a simulation; takes effect with the next `place`."""
+    def load(
+        self, i: int, world: World, targets: Sequence[int], disturbance: Disturbance, planted: Planted | None = None
+    ) -> None:
+        """Copy a world, in which nothing is planted, into a simulation; takes effect with the next `place`."""
         prepare(self.models[i], world, targets, disturbance, self._worlds[i])
         self._worlds[i] = world
         if not self._leaves_push:

@@ -14,6 +14,7 @@ from greenhouse_gym.envs.task import Task
 from greenhouse_gym.envs.world import World
 from greenhouse_gym.envs.worlds import Worlds
 from greenhouse_gym.scene.occupancy import require_occupancy
+from greenhouse_gym.scene.plants.slots import Planted, choose_organs
 
 
 class Setup(NamedTuple):
@@ -23,11 +24,13 @@ class Setup(NamedTuple):
         episode: Scene, targets and start.
         world: World of the scene, after its plants moved if they are randomized.
         disturbance: Randomization of the episode.
+        planted: Organs that give way and push back; None if there are none.
     """
 
     episode: Episode
     world: World
     disturbance: Disturbance
+    planted: Planted | None
 
 
 def draw_setup(
@@ -58,10 +61,19 @@ def draw_setup(
     world = worlds.world(scene, sampler.at_a_time)
     if randomization.plants is not None and disturbance.plants is not None:
         world = worlds.moved(world, randomization.plants, disturbance.plants)
+    planted = None
     if worlds.layout is not None:
         fruit = episode.fruit or tuple(dict.fromkeys(world.bodies[list(episode.targets)].tolist()))
-        world = worlds.planted(world, fruit, task.mechanics.scaled(disturbance.mechanics))
+        planted = choose_organs(
+            world.compiled,
+            world.slots,
+            world.topology,
+            fruit,
+            worlds.layout,
+            task.mechanics.scaled(disturbance.mechanics),
+            world.filled,
+        )
     asked = options is not None and options.get("start") is not None
     if not asked and np.array_equal(episode.start, sampler.robot.start):
         episode = replace(episode, start=world.start)
-    return Setup(episode, world, disturbance)
+    return Setup(episode, world, disturbance, planted)

@@ -119,7 +119,8 @@ class Simulation:
     def __deepcopy__(self, memo: dict[int, Any]) -> Simulation:
         """Return an independent copy in the same state; immutable parts are shared."""
         shared = [self.robot, self.settings, self.task, self.worlds, self.worlds.fields, self.sampler.bank]
-        shared += [part for setup in self._setups if setup is not None for part in (setup.episode, setup.world)]
+        setups = [setup for setup in self._setups if setup is not None]
+        shared += [part for setup in setups for part in (setup.episode, setup.world, setup.planted)]
         for part in shared:
             memo[id(part)] = part
         twin = memo[id(self)] = object.__new__(Simulation)
@@ -160,7 +161,7 @@ class Simulation:
             setup.world.check_fits(self._reference)
         with progress("simulations begun", len(ids), shown=first) as on_progress:
             for done, (i, setup) in enumerate(zip(ids.tolist(), setups, strict=True), start=1):
-                physics.load(i, setup.world, self._touchable(setup.episode), setup.disturbance)
+                physics.load(i, setup.world, self._touchable(setup.episode), setup.disturbance, setup.planted)
                 self._setups[i] = setup
                 self._counts.begin(i, setup.episode)
                 self._perception.begin(i, setup)
@@ -325,9 +326,9 @@ class Simulation:
 
     def model_and_data(self, i: int) -> tuple[mujoco.MjModel, mujoco.MjData]:
         """Return a copy of a simulation's model, in which the cup may touch the targets, and its state."""
-        episode, _, disturbance = self._setup(i)
+        setup = self._setup(i)
         assert self._physics is not None
-        return self._physics.model_and_data(i, self._touchable(episode), disturbance)
+        return self._physics.model_and_data(i, self._touchable(setup.episode), setup.disturbance)
 
     def live(self, i: int) -> CompliantSimulation:
         """Return the compliant plants of a simulation as they are.

@@ -17,7 +17,8 @@ from greenhouse_gym.motion.roadmap import SceneRoadmaps
 from greenhouse_gym.scene import CompiledScene, Scene, SceneBank, compile_scene
 from greenhouse_gym.scene.geom_order import first_world_geom
 from greenhouse_gym.scene.mjcf import DEFAULT_CAPACITY, MAX_CAPACITY
-from greenhouse_gym.scene.plants.slots import Planted
+from greenhouse_gym.scene.plants.layout import Layout, SlotIds
+from greenhouse_gym.scene.plants.filled import FilledBodies
 from greenhouse_gym.scene.plants.topology import Topology, topology_of
 from greenhouse_gym.scene.truth import known_scene, own_start
 
@@ -65,7 +66,7 @@ class World:
         bodies: (t,) indices of these counterparts in the simulated scene.
         leaves: "rigid" or "brush", see `Worlds`.
         before: World before the plants moved, which shares its distance field; None if they did not move.
-        planted: Organs in the slots of the model; None if none give way.
+        layout: Layout of the model's slots for organs that give way and push back; None if there are none.
     """
 
     scene: Scene
@@ -77,7 +78,7 @@ class World:
     bodies: np.ndarray[tuple[int], np.dtype[np.int64]]
     leaves: str = "rigid"
     before: World | None = None
-    planted: Planted | None = None
+    layout: Layout | None = None
 
     def check_fits(self, model: mujoco.MjModel) -> None:
         """Check that a model has the same layout.
@@ -114,13 +115,12 @@ class World:
     def start(self) -> Array:
         """(joints,) start of the arm if no other is asked for; not in plants of the true row that stop it."""
         simulates_scan = self.compiled.scene is self.scene
-        lets_pass = self.planted is not None or self.leaves != "rigid"
-        return self.compiled.robot.start if simulates_scan or lets_pass else own_start(self.compiled)
+        return self.compiled.robot.start if simulates_scan or self.leaves != "rigid" else own_start(self.compiled)
 
     @cached_property
     def rigid(self) -> CompiledScene:
         """The simulated scene without slots, all its organs where they were at the start."""
-        if self.planted is None:
+        if self.layout is None:
             return self.compiled
         scene = self.compiled.scene
         return compile_scene(scene, self.compiled.robot, capacity_for(scene.count))
@@ -131,6 +131,17 @@ class World:
         return topology_of(self.compiled.scene, self.scene.name)
 
     @cached_property
+    def slots(self) -> SlotIds:
+        """Ids of the slots of the layout."""
+        assert self.layout is not None
+        return SlotIds(self.compiled.model, self.layout)
+
+    @cached_property
+    def filled(self) -> FilledBodies:
+        """Bodies of the simulated scene that were filled with organs before."""
+        return FilledBodies()
+
+    @cached_property
     def used(self) -> int:
         """Number of world geoms before the parked ones, which are the same in all worlds."""
         return int(self.compiled.obstacle_geoms.start) + self.compiled.scene.count
@@ -138,7 +149,7 @@ class World:
     @cached_property
     def groups(self) -> Groups:
         """(geoms,) contact groups of the compiled geoms, see `geom_groups`."""
-        return geom_groups(self.compiled)
+        return geom_groups(self.compiled, None if self.layout is None else self.slots)
 
     def load(self, model: mujoco.MjModel, targets: Sequence[int], last: World | None = None) -> None:
         """Copy this world into a model and let the cup touch the targets.

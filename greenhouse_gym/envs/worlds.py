@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import weakref
 from collections import OrderedDict
 from collections.abc import Callable
@@ -26,17 +25,13 @@ from greenhouse_gym.scene import CompiledScene, Scene, Shapes, compile_scene
 from greenhouse_gym.scene.mjcf import MAX_CAPACITY, arm_pose, make_yielding
 from greenhouse_gym.scene.obstacles import Surroundings
 from greenhouse_gym.scene.plant_motion import move_plants
-from greenhouse_gym.scene.plants.layout import Layout
-from greenhouse_gym.scene.plants.mechanics import PlantMechanics
-from greenhouse_gym.scene.plants.slots import plant
+from greenhouse_gym.scene.plants.layout import Layout, SlotIds
+from greenhouse_gym.scene.plants.slots import empty_slots
 from greenhouse_gym.scene.truth import true_scene
 
 CACHED = LARGEST_WHOLE
 """Number of cached worlds of one kind: each takes about 1 MB with its scene, a true row up to 26 MB, and its
 distance field up to 4 MB, as far as it has been looked up."""
-
-PLANTED = 16
-"""Number of cached worlds with plants in their slots."""
 
 STOP = 0.25
 """Distance between two stops of a cart around which distance fields are computed, metres."""
@@ -81,7 +76,6 @@ class Worlds:
         # scene alive, so an id is not reused before its world is freed
         self._alive: weakref.WeakValueDictionary[int, World] = weakref.WeakValueDictionary()
         self._kept: OrderedDict[int, World] = OrderedDict()
-        self._planted: OrderedDict[tuple[int, tuple[int, ...], PlantMechanics], tuple[World, World]] = OrderedDict()
 
     def world(self, scene: Scene, keep: int | None = None) -> World:
         """Return the world of a scene.
@@ -118,28 +112,6 @@ class Worlds:
             before=world,
         )
 
-    def planted(self, world: World, fruit: tuple[int, ...], mechanics: PlantMechanics) -> World:
-        """Return a world with organs that give way: the trusses of some fruit and the leaves around them in the slots.
-
-        Args:
-            world: The world.
-            fruit: Indices of the fruit to be picked, among the tomatoes of the simulated scene.
-            mechanics: Mechanical parameters.
-
-        Raises:
-            InvalidValueError: They do not fit into the slots, or the scene has no topology.
-        """
-        assert self.layout is not None
-        key = (id(world), fruit, mechanics)
-        if key not in self._planted:
-            compiled = replace(world.compiled, model=copy.copy(world.compiled.model))
-            planted = plant(compiled, world.topology, fruit, self.layout, mechanics)
-            self._planted[key] = (world, replace(world, compiled=compiled, planted=planted))
-        self._planted.move_to_end(key)
-        while len(self._planted) > PLANTED:
-            self._planted.popitem(last=False)
-        return self._planted[key][1]
-
     def field(self, world: World, stop: int) -> int:
         """Return the slot of the distance field of a world around a stop of a cart, `STOP` metres apart."""
         if not stop:
@@ -162,6 +134,8 @@ class Worlds:
         compiled = compile_scene(scene, self.robot, self.capacity, self._edit)
         if self.leaves == "brush":
             make_yielding(compiled.model, compiled.leaf_geoms)
+        if self.layout is not None:
+            empty_slots(compiled.model, SlotIds(compiled.model, self.layout))
         return compiled
 
     def _make(self, scene: Scene) -> World:
@@ -184,6 +158,7 @@ class Worlds:
             goals=known.astype(np.float64) if physical is scene else bodies_there[bodies],
             bodies=bodies,
             leaves=self.leaves,
+            layout=self.layout,
         )
 
     def _check_size(self, scene: Scene) -> None:

@@ -10,7 +10,9 @@ equal bit for bit.
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from functools import cache
 
 import mujoco
 import numpy as np
@@ -43,15 +45,37 @@ def put_world_first(model: mujoco.MjModel) -> None:
 def _move_geoms(model: mujoco.MjModel, world: int) -> None:
     """Move the first ``world`` geoms of a model behind all others."""
     count = model.ngeom
-    for name in dir(model):
-        if name.startswith("geom_"):
-            table = getattr(model, name)
-            table[:] = np.roll(table, -world, axis=0)
+    for name in _names("geom_"):
+        table = getattr(model, name)
+        table[:] = np.roll(table, -world, axis=0)
     has_geoms = model.body_geomnum > 0
     model.body_geomadr[has_geoms] = (model.body_geomadr[has_geoms] - world) % count
     for first, nodes in zip(model.body_bvhadr, model.body_bvhnum, strict=True):
         ids = model.bvh_nodeid[first : first + nodes]
         ids[ids >= 0] = (ids[ids >= 0] - world) % count
+
+
+def copy_bodies(source: mujoco.MjModel, model: mujoco.MjModel) -> None:
+    """Copy bodies, joints, constraints and all geoms but the world's from one model into another of the same layout.
+
+    Args:
+        source: Its geoms in the compiled order.
+        model: Its geoms in either order.
+    """
+    world, first, count = int(source.body_geomnum[0]), first_world_geom(model), source.ngeom
+    for name in _names("body_", "jnt_", "dof_", "eq_", "qpos", "bvh_"):
+        if name not in ("body_geomadr", "bvh_nodeid"):
+            getattr(model, name)[:] = getattr(source, name)
+    ids = source.bvh_nodeid
+    model.bvh_nodeid[:] = np.where(ids >= 0, (ids + first) % count, ids) if first else ids
+    moving = slice(0, first) if first else slice(world, count)
+    for name in _names("geom_"):
+        getattr(model, name)[moving] = getattr(source, name)[world:]
+
+
+@cache
+def _names(*beginnings: str) -> list[str]:
+    return [name for name in dir(mujoco.MjModel) if name.startswith(beginnings)]
 
 
 def compiled_geom_id(model: mujoco.MjModel, geom: int) -> int:
@@ -92,6 +116,22 @@ class ShortGeomLists:
             world_count[0] = self._world
         for count in self._counts:
             count[0] = self._all
+
+
+@contextmanager
+def without_world_geoms(model: mujoco.MjModel) -> Iterator[None]:
+    """Context in which a model lists no geoms of the world, or none that matter: for what depends on bodies alone."""
+    moving = first_world_geom(model)
+    count = _geom_count(model) if moving else None
+    counts = [model.body_geomnum[:1], model.body_bvhnum[:1], *([] if count is None else [count])]
+    before = [int(one[0]) for one in counts]
+    for one, value in zip(counts, (0, 0, moving), strict=False):
+        one[0] = value
+    try:
+        yield
+    finally:
+        for one, value in zip(counts, before, strict=True):
+            one[0] = value
 
 
 def _geom_count(model: mujoco.MjModel) -> npt.NDArray[np.int64] | None:

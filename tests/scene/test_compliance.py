@@ -18,10 +18,11 @@ from greenhouse_gym.geometry import Box, Capsule, Ellipsoid, Sphere, arrays_of
 from greenhouse_gym.scene import SceneBank, Shapes, compile_scene
 from greenhouse_gym.scene.obstacle_slots import TYPES, geoms_of
 from greenhouse_gym.scene.plants.detachment import detach, load_of, weld
+from greenhouse_gym.scene.plants.filled import FilledBodies
 from greenhouse_gym.scene.plants.filling import merged
-from greenhouse_gym.scene.plants.layout import LOOSE, Layout
+from greenhouse_gym.scene.plants.layout import LOOSE, Layout, SlotIds
 from greenhouse_gym.scene.plants.mechanics import GRAVITY, HINGE_ARMATURE, VARYING, PlantMechanics, mass_properties
-from greenhouse_gym.scene.plants.slots import plant
+from greenhouse_gym.scene.plants.slots import choose_organs, empty_slots, plant
 from greenhouse_gym.scene.plants.topology import topology_of
 from greenhouse_gym.scene.truth import true_scene
 
@@ -34,13 +35,21 @@ def add(spec):
     LAYOUT.add(spec)
 
 
+def planted_with(compiled, topology, rows, layout):
+    ids = SlotIds(compiled.model, layout)
+    found = choose_organs(compiled, ids, topology, rows, layout, PlantMechanics(), FilledBodies())
+    empty_slots(compiled.model, ids)
+    plant(compiled.model, found, layout, mujoco.MjData(compiled.model))
+    return found
+
+
 @lru_cache
 def planted():
     scene = true_scene(SceneBank.open("mini").scene(SCENE))
     topology = topology_of(scene, SCENE)
     compiled = compile_scene(scene, "ur5e", scene.count, add)
     truss = max(topology.trusses, key=lambda one: len(one.fruit))
-    found = plant(compiled, topology, [fruit.row for fruit in truss.fruit][:1], LAYOUT, PlantMechanics())
+    found = planted_with(compiled, topology, [fruit.row for fruit in truss.fruit][:1], LAYOUT)
     return compiled.model, found
 
 
@@ -264,7 +273,7 @@ def test_a_truss_that_loses_a_heavy_fruit_rises_a_little_and_does_not_fall_over(
     compiled = compile_scene(scene, "ur5e", scene.count, lambda spec: (drive_and_record(spec, 5), layout.add(spec)))
     truss = max(topology.trusses, key=lambda one: sum(scene.tomatoes[f.row].radius ** 3 for f in one.fruit))
     rows, mechanics = [fruit.row for fruit in truss.fruit], PlantMechanics()
-    ids = plant(compiled, topology, rows, layout, mechanics).ids
+    ids = planted_with(compiled, topology, rows, layout).ids
     hinge = int(compiled.model.jnt_qposadr[compiled.model.body_jntadr[ids.truss[0]]])
     for k in range(len(rows)):
         model = copy.copy(compiled.model)

@@ -301,11 +301,9 @@ def ripe_targets(scene: Scene, ripe: float) -> dict[int, int]:
             f"scene {scene.name!r} carries no truth, which a harvest needs: fruit comes off true plants; use a scene "
             "built from simulated recordings"
         )
-    centers = np.array([tomato.center for tomato in scene.truth.tomatoes])
-    result: dict[int, int] = {}
-    for k, tomato in enumerate(scene.tomatoes):
-        apart = lengths(centers - tomato.center)
-        nearest = int(apart.argmin())
-        if apart[nearest] <= MATCHED and (scene.truth.tomatoes[nearest].ripeness or 0.0) >= ripe:
-            result[k] = nearest
-    return result
+    shown, true = (one.arrays.starts[: len(one.tomatoes)] for one in (scene, scene.truth))
+    apart = lengths((true - shown[:, None]).reshape(-1, 3)).reshape(len(shown), len(true))
+    nearest = apart.argmin(axis=1)
+    is_ripe = np.nan_to_num(scene.truth.columns.ripeness) >= ripe
+    matched = np.flatnonzero((apart.min(axis=1) <= MATCHED) & is_ripe[nearest])
+    return dict(zip(matched.tolist(), nearest[matched].tolist(), strict=True))

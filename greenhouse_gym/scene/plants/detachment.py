@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.scene.geom_order import first_world_geom, without_world_geoms
 from greenhouse_gym.scene.obstacle_slots import build_tree
 from greenhouse_gym.scene.plants.layout import ALL, CUP, LOOSE, SlotIds
 from greenhouse_gym.scene.plants.mechanics import GRAVITY, PlantMechanics
@@ -96,8 +97,12 @@ def move_free(
 
 def update_constants(model: mujoco.MjModel, scratch: mujoco.MjData) -> None:
     """Compute the constants of a model whose masses or poses changed; welds stay where they are."""
-    rules = model.eq_data.copy()
-    mujoco.mj_setConst(model, scratch)
+    rules, first = model.eq_data.copy(), first_world_geom(model)
+    world = slice(first, first + int(model.body_geomnum[0]))
+    with without_world_geoms(model):  # it would compute the tree of the world again, which takes most of the time
+        mujoco.mj_setConst(model, scratch)
+    model.body_contype[0] = np.bitwise_or.reduce(model.geom_contype[world])
+    model.body_conaffinity[0] = np.bitwise_or.reduce(model.geom_conaffinity[world])
     model.eq_data[:] = rules  # it would move the weld of a held fruit to where both bodies are parked
 
 

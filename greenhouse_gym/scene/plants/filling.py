@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from types import MappingProxyType
 
 import mujoco
 import numpy as np
+import numpy.typing as npt
 
 from greenhouse_gym.geometry import Array, ShapeArrays, transform
 from greenhouse_gym.geometry.shape_arrays import BOX, CAPSULE
 from greenhouse_gym.scene import CompiledScene
 from greenhouse_gym.scene.geom_order import first_world_geom
-from greenhouse_gym.scene.mjcf import colors_of
 from greenhouse_gym.scene.obstacle_slots import build_tree, write_geoms
 from greenhouse_gym.scene.plants.detachment import first_geom, update_constants
+from greenhouse_gym.scene.plants.filled import FilledBodies
 from greenhouse_gym.scene.plants.layout import (
     ALL,
     EMPTY_INERTIA,
@@ -27,6 +28,8 @@ from greenhouse_gym.scene.plants.layout import (
 )
 from greenhouse_gym.scene.plants.mechanics import PlantMechanics, mass_properties
 from greenhouse_gym.scene.plants.topology import Branch, Fruit, Leaf, Truss
+
+Colors = npt.NDArray[np.floating]
 
 _UP = np.array([0.0, 0.0, 1.0])
 _UPRIGHT_MARGIN = 1.5  # stiffness of an organ above its root over that at which gravity would tip it
@@ -42,6 +45,7 @@ class Filler:
         compiled: The scene, compiled with the layout of the model.
         mechanics: Mechanical parameters.
         motions: (4, 4) motions since the scan of shapes that have moved, by their rows.
+        filled: Bodies of the scene that were filled before; None if shapes have moved.
     """
 
     def __init__(
@@ -50,56 +54,49 @@ class Filler:
         compiled: CompiledScene,
         mechanics: PlantMechanics,
         motions: Mapping[int, Array] = MappingProxyType({}),
+        filled: FilledBodies | None = None,
     ):
+        self._filled = FilledBodies() if filled is None else filled
         self._model, self._mechanics, self._motions = model, mechanics, motions
         self._first = first_world_geom(model) + int(compiled.obstacle_geoms.start)
-        self._arrays, self._colors = compiled.scene.arrays, colors_of(compiled.scene)
+        self._arrays, self._colors = compiled.scene.arrays, compiled.model.geom_rgba[compiled.obstacle_geoms].copy()
 
     def truss(self, body: int, truss: Truss, attached: Sequence[Fruit]) -> None:
         """Fill a truss with its rachis and the fruit that stay on it."""
+        self._hide([*truss.rows, *(row for one in attached for row in (one.row, *one.pedicel, *one.calyx))])
+        self._hinges(body, truss, self._mechanics.truss_stiffness)
+        organ = (truss, *attached)
+        if self._filled.recall(self._model, body, organ, self._mechanics):
+            return
         rows, thin = [*truss.rows, *(fruit.row for fruit in attached)], list(truss.rows[-1:])
         joints = np.array([self.joint(fruit) for fruit in attached]).reshape(-1, 3)
         centers = self.shapes([fruit.row for fruit in attached]).starts
         pedicels = _straight(joints, centers, float(self._arrays.sizes[thin, 0].min()))
-        for fruit in attached:
-            self._hide([fruit.row, *fruit.pedicel, *fruit.calyx])
-        self._hide(truss.rows)
-        self._hinges(body, truss, self._mechanics.truss_stiffness)
         colors = np.concatenate([self._colors[rows], np.repeat(self._colors[thin], len(attached), axis=0)])
-        self._put(body, ShapeArrays.joined([self.shapes(rows), pedicels]), colors, truss.root)
+        self._put(body, ShapeArrays.joined([self.shapes(rows), pedicels]), colors, truss.root, organ)
 
     def leaf(self, body: int, leaf: Leaf) -> None:
         """Fill the slots of a leaf."""
         self._hide([*leaf.rows, *leaf.plates])
         self._hinges(body, leaf, self._mechanics.leaf_stiffness)
-        plates = merged(self.shapes(leaf.plates), PLATES)
+        if self._filled.recall(self._model, body, leaf, self._mechanics):
+            return
+        known = self._filled.plates
+        plates = known[leaf] if leaf in known else known.setdefault(leaf, merged(self.shapes(leaf.plates), PLATES))
         petiole = self._colors[list(leaf.rows)]
         colors = np.concatenate([petiole, np.repeat(petiole[:1], len(plates.kinds), axis=0)])
-        self._put(body, ShapeArrays.joined([self.shapes(leaf.rows), plates]), colors, leaf.root)
+        self._put(body, ShapeArrays.joined([self.shapes(leaf.rows), plates]), colors, leaf.root, leaf)
 
     def fruit(self, body: int, fruit: Fruit, root: Array) -> None:
         """Fill a fruit that can come off, its first geom, with its pedicel."""
         self._hide([fruit.row, *fruit.pedicel, *fruit.calyx])
         model, joint = self._model, self.joint(fruit)
         model.body_pos[body] = joint - root
-        rows = [fruit.row, *fruit.pedicel[:PEDICEL]]
-        self._put(body, self.shapes(rows), self._colors[rows], joint)
         model.jnt_stiffness[model.body_jntadr[body]] = self._mechanics.pedicel_stiffness
-
-    def empty(self, bodies: Sequence[int]) -> None:
-        """Take all shapes out of bodies."""
-        model = self._model
-        for body in bodies:
-            own = slice(first_geom(model, body), first_geom(model, body) + int(model.body_geomnum[body]))
-            points = ShapeArrays.empty(own.stop - own.start)
-            points.sizes[:, 0] = EMPTY_SIZE
-            write_geoms(model, own, points, np.zeros((len(points.kinds), 4)))
-            model.geom_contype[own] = model.geom_conaffinity[own] = 0
-            model.body_mass[body], model.body_inertia[body] = EMPTY_MASS, EMPTY_INERTIA
-            model.body_ipos[body], model.body_iquat[body] = 0.0, [1.0, 0.0, 0.0, 0.0]
-            if model.body_parentid[body]:  # a fruit of a truss; others stay where they are
-                model.body_pos[body] = 0.0
-            build_tree(model, body)
+        if self._filled.recall(model, body, fruit, self._mechanics):
+            return
+        rows = [fruit.row, *fruit.pedicel[:PEDICEL]]
+        self._put(body, self.shapes(rows), self._colors[rows], joint, fruit)
 
     def show(self, rows: Sequence[int], mask: int) -> None:
         """Make shapes static where they are now; they stop what the mask holds. The world's tree has to be built."""
@@ -194,8 +191,8 @@ class Filler:
         model.jnt_axis[joint], model.jnt_axis[joint + 1] = np.cross(_UP, outward), _UP
         model.jnt_stiffness[joint : joint + 2] = stiffness
 
-    def _put(self, body: int, shapes: ShapeArrays, colors: Array, origin: Array) -> None:
-        """Turn the first geoms of a body into shapes."""
+    def _put(self, body: int, shapes: ShapeArrays, colors: Colors, origin: Array, organ: Hashable) -> None:
+        """Turn the first geoms of a body into the shapes of an organ."""
         model = self._model
         shapes = shapes._replace(starts=shapes.starts - origin, ends=shapes.ends - origin)
         first = int(model.body_geomadr[body])
@@ -207,12 +204,28 @@ class Filler:
         model.body_ipos[body], model.body_iquat[body] = center, quat
         model.body_sameframe[body] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
         build_tree(model, body)
+        self._filled.remember(model, body, organ)
 
     def _hide(self, rows: Sequence[int]) -> None:
         """Take shapes out of the static scene."""
         geoms = self._first + np.array(list(rows), dtype=np.int64)
         self._model.geom_conaffinity[geoms] = 0
         self._model.geom_rgba[geoms, 3] = 0.0
+
+
+def empty_bodies(model: mujoco.MjModel, bodies: Sequence[int]) -> None:
+    """Take all shapes out of bodies."""
+    for body in bodies:
+        own = slice(first_geom(model, body), first_geom(model, body) + int(model.body_geomnum[body]))
+        points = ShapeArrays.empty(own.stop - own.start)
+        points.sizes[:, 0] = EMPTY_SIZE
+        write_geoms(model, own, points, np.zeros((len(points.kinds), 4)))
+        model.geom_contype[own] = model.geom_conaffinity[own] = 0
+        model.body_mass[body], model.body_inertia[body] = EMPTY_MASS, EMPTY_INERTIA
+        model.body_ipos[body], model.body_iquat[body] = 0.0, [1.0, 0.0, 0.0, 0.0]
+        if model.body_parentid[body]:  # a fruit of a truss; others stay where they are
+            model.body_pos[body] = 0.0
+        build_tree(model, body)
 
 
 def merged(plates: ShapeArrays, count: int) -> ShapeArrays:

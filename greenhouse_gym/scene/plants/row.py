@@ -12,7 +12,7 @@ from greenhouse_gym.geometry import Array, transform
 from greenhouse_gym.scene.geom_order import first_world_geom
 from greenhouse_gym.scene.obstacle_slots import build_tree
 from greenhouse_gym.scene.plants.detachment import leave_stub
-from greenhouse_gym.scene.plants.filling import Filler
+from greenhouse_gym.scene.plants.filling import Filler, empty_bodies
 from greenhouse_gym.scene.plants.layout import ALL, ARM, CUP, ROW_REACH
 from greenhouse_gym.scene.plants.live import HANGING, WAITING, LivePlants
 from greenhouse_gym.scene.plants.live_scene import motions
@@ -139,7 +139,7 @@ class RowPlants(LivePlants):
             filler.show(rows, mask)
         bodies = [int(body) for slot, _ in swaps for body in (ids.truss[slot], *ids.fruit[slot])]
         bodies += [int(ids.leaf[k]) for k, _ in leaves]
-        filler.empty(bodies)
+        empty_bodies(self.model, bodies)
         self._begin(bodies)
         for slot, truss in swaps:
             seat(filler, planted, slot, truss)

@@ -13,9 +13,11 @@ from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array, ShapeArrays
 from greenhouse_gym.robots.robot import CUP_GEOM
 from greenhouse_gym.scene import CompiledScene
+from greenhouse_gym.scene.geom_order import first_world_geom
 from greenhouse_gym.scene.mjcf import base_position
 from greenhouse_gym.scene.obstacles import Surroundings
-from greenhouse_gym.scene.plants.filling import Filler
+from greenhouse_gym.scene.plants.filling import Filler, empty_bodies
+from greenhouse_gym.scene.plants.filled import FilledBodies
 from greenhouse_gym.scene.plants.layout import ALL, ARM, ATTACHED, CUP, PETIOLE, RACHIS, Layout, SlotIds
 from greenhouse_gym.scene.plants.mechanics import PlantMechanics
 from greenhouse_gym.scene.plants.topology import Fruit, Leaf, Topology, Truss
@@ -23,10 +25,10 @@ from greenhouse_gym.scene.plants.topology import Fruit, Leaf, Topology, Truss
 
 @dataclass(frozen=True, eq=False)
 class Planted:
-    """Organs in the slots of a model.
+    """Organs for the slots of a model.
 
     Attributes:
-        compiled: The scene with the slots.
+        compiled: The scene, compiled with the slots.
         ids: Ids of the slots.
         trusses: Trusses with fruit to be picked, the first ones in slots. On a rail there may be more of them than
             slots.
@@ -35,6 +37,7 @@ class Planted:
         wanted: (trusses, fruit) whether they are to be picked.
         mechanics: Mechanical parameters.
         topology: Organs of the whole scene.
+        filled: Bodies of the scene that were filled before.
     """
 
     compiled: CompiledScene
@@ -45,6 +48,7 @@ class Planted:
     wanted: npt.NDArray[np.bool_]
     mechanics: PlantMechanics
     topology: Topology
+    filled: FilledBodies
 
     def split(self, truss: int) -> tuple[list[Fruit], list[Fruit]]:
         """Return the fruit of a truss that can come off, in the order of their bodies, and the others."""
@@ -78,29 +82,36 @@ def check_fits(topology: Topology, wanted: Sequence[int], layout: Layout, name: 
     return trusses
 
 
-def plant(
-    compiled: CompiledScene, topology: Topology, wanted: Sequence[int], layout: Layout, mechanics: PlantMechanics
+def choose_organs(
+    compiled: CompiledScene,
+    ids: SlotIds,
+    topology: Topology,
+    wanted: Sequence[int],
+    layout: Layout,
+    mechanics: PlantMechanics,
+    filled: FilledBodies,
 ) -> Planted:
-    """Fill the slots of a model; other organs become static, and static leaves let the arm pass.
+    """Choose the organs that get the slots of a model: the trusses of some fruit and the leaves around them.
 
     With an arm on a rail, the trusses nearest to it get the slots if there are not enough for all.
 
     Args:
-        compiled: The scene, compiled with the slots of the layout. Its model is changed.
+        compiled: The scene, compiled with the slots of the layout.
+        ids: Ids of the slots.
         topology: Organs of the scene.
         wanted: Indices of the fruit to be picked, among the scene's tomatoes.
         layout: The layout.
         mechanics: Mechanical parameters.
+        filled: Bodies of the scene that were filled before.
 
     Raises:
         InvalidValueError: The fruit do not fit into the slots, or the arm has no cup.
     """
-    model, scene, robot = compiled.model, compiled.scene, compiled.robot
+    scene, robot = compiled.scene, compiled.robot
     trusses = check_fits(topology, wanted, layout, scene.name, robot.on_rail and not layout.cutter)
     if len(trusses) > layout.trusses:
         shoulder = base_position(scene, robot) + [0.0, 0.0, robot.shoulder_height]
         trusses.sort(key=lambda truss: _distance(scene.arrays, truss, wanted, shoulder))
-    ids = SlotIds(model, layout)
     if ids.cup_geom < 0:
         raise InvalidValueError(
             f"robot {robot.name!r} has no gripper that can hold: its file needs a geom {CUP_GEOM!r} at the "
@@ -116,20 +127,36 @@ def plant(
         fruit[i, : len(order)] = order
     seated = [row for row in fruit[: layout.trusses].ravel().tolist() if row in wanted]
     leaves = nearest_leaves(topology, scene.arrays, scene.arrays.starts[seated], layout.leaves)
-    planted = Planted(
-        compiled, ids, tuple(trusses), tuple(leaves), fruit, np.isin(fruit, list(wanted)), mechanics, topology
+    return Planted(
+        compiled, ids, tuple(trusses), tuple(leaves), fruit, np.isin(fruit, list(wanted)), mechanics, topology, filled
     )
-    bodies = [*ids.truss, *ids.fruit.ravel(), *ids.leaf]
-    filler = Filler(model, compiled, mechanics)
-    filler.empty([*bodies, *ids.loose, *ids.cut, *ids.cut_fruit.ravel()])
-    _make_static(compiled, topology)
-    for i in range(min(len(trusses), layout.trusses)):
+
+
+def empty_slots(model: mujoco.MjModel, ids: SlotIds) -> None:
+    """Prepare the slots of a compiled model, which `plant` fills in its copies."""
+    empty_bodies(
+        model, [*ids.truss, *ids.fruit.ravel(), *ids.leaf, *ids.loose, *ids.cut, *ids.cut_fruit.ravel()]
+    )  # fmt: skip
+
+
+def plant(model: mujoco.MjModel, planted: Planted, layout: Layout, scratch: mujoco.MjData) -> None:
+    """Fill the empty slots of a model; other organs become static, and static leaves let the arm pass.
+
+    Args:
+        model: A copy of the compiled model, its geoms in either order; it is changed.
+        planted: Organs for its slots.
+        layout: The layout.
+        scratch: Any data of the model, to compute its constants with.
+    """
+    ids = planted.ids
+    filler = Filler(model, planted.compiled, planted.mechanics, filled=planted.filled)
+    _make_static(model, planted)
+    for i in range(min(len(planted.trusses), layout.trusses)):
         seat(filler, planted, i, i)
-    for body, leaf in zip(ids.leaf, leaves, strict=False):
+    for body, leaf in zip(ids.leaf, planted.leaves, strict=False):
         filler.leaf(int(body), leaf)
-    _place_crate(model, ids, scene, layout)
-    filler.finish(bodies, ids, mujoco.MjData(model))
-    return planted
+    _place_crate(model, ids, planted.compiled.scene, layout)
+    filler.finish([*ids.truss, *ids.fruit.ravel(), *ids.leaf], ids, scratch)
 
 
 def seat(filler: Filler, planted: Planted, slot: int, truss: int) -> None:
@@ -143,12 +170,12 @@ def seat(filler: Filler, planted: Planted, slot: int, truss: int) -> None:
 def nearest_leaves(topology: Topology, arrays: ShapeArrays, centers: Array, count: int) -> list[Leaf]:
     """Return the leaves that are nearest to the fruit to be picked (n, 3) and fit into slots."""
     fitting = [leaf for leaf in topology.leaves if len(leaf.rows) <= PETIOLE and leaf.plates]
-
-    def distance(leaf: Leaf) -> float:
-        points = arrays.starts[list(leaf.plates)]
-        return float(np.linalg.norm(points[:, None] - centers, axis=-1).min())
-
-    return sorted(fitting, key=distance)[:count]
+    if not fitting:
+        return []
+    points = arrays.starts[[row for leaf in fitting for row in leaf.plates]]
+    gaps = np.linalg.norm(points[:, None] - centers, axis=-1).min(axis=1)
+    first = np.cumsum([0, *(len(leaf.plates) for leaf in fitting[:-1])])
+    return [fitting[k] for k in np.minimum.reduceat(gaps, first).argsort(kind="stable")[:count]]
 
 
 def _distance(arrays: ShapeArrays, truss: Truss, wanted: Sequence[int], point: Array) -> float:
@@ -157,13 +184,12 @@ def _distance(arrays: ShapeArrays, truss: Truss, wanted: Sequence[int], point: A
     return float(np.linalg.norm(arrays.starts[rows] - point, axis=1).min())
 
 
-def _make_static(compiled: CompiledScene, topology: Topology) -> None:
+def _make_static(model: mujoco.MjModel, planted: Planted) -> None:
     """Let the arm and loose fruit collide with the static scene; loose fruit passes through its leaves."""
-    model, slots = compiled.model, compiled.obstacle_geoms
-    world = slice(0, int(model.body_geomnum[0]))
+    first = first_world_geom(model)
+    world = slice(first, first + int(model.body_geomnum[0]))
     model.geom_contype[world], model.geom_conaffinity[world] = 0, ALL
-    leafy = np.setdiff1d(np.array(topology.clutter), topology.fixed)
-    model.geom_conaffinity[slots.start + leafy] = ARM | CUP
+    model.geom_conaffinity[first + planted.compiled.obstacle_geoms.start + planted.topology.soft] = ARM | CUP
 
 
 def _place_crate(model: mujoco.MjModel, ids: SlotIds, scene: Surroundings, layout: Layout) -> None:

@@ -8,6 +8,7 @@ put together again.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -103,6 +104,11 @@ class Topology:
     leaves: tuple[Leaf, ...]
     clutter: range
     fixed: Rows
+
+    @cached_property
+    def soft(self) -> npt.NDArray[np.int64]:
+        """Rows of the clutter that gives way: leaves and calyces."""
+        return np.setdiff1d(np.array(self.clutter, dtype=np.int64), self.fixed)
 
     def truss_of(self, fruit: int) -> Truss:
         """Return the truss of a fruit, given by its index among the tomatoes."""
