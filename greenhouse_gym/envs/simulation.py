@@ -14,7 +14,8 @@ from greenhouse_gym.common.progress import progress
 from greenhouse_gym.envs.actions import CommandLimits, check_actions, squared_norm, with_controls
 from greenhouse_gym.envs.checked_parts import OwnPart, outcome_check, remembered
 from greenhouse_gym.envs.choices import make_action, make_observation, make_reward, make_task
-from greenhouse_gym.envs.compliant_physics import CompliantPhysics, CompliantSimulation
+from greenhouse_gym.envs.compliant_physics import CompliantPhysics
+from greenhouse_gym.envs.compliant_simulation import CompliantSimulation
 from greenhouse_gym.envs.contacts import Contacts
 from greenhouse_gym.envs.episode_counts import EpisodeCounts
 from greenhouse_gym.envs.episodes import LARGEST_COMPLIANT, Episode, EpisodeSampler

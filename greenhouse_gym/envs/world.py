@@ -17,8 +17,8 @@ from greenhouse_gym.motion.roadmap import SceneRoadmaps
 from greenhouse_gym.scene import CompiledScene, Scene, SceneBank, compile_scene
 from greenhouse_gym.scene.geom_order import first_world_geom
 from greenhouse_gym.scene.mjcf import DEFAULT_CAPACITY, MAX_CAPACITY
-from greenhouse_gym.scene.plants.layout import Layout, SlotIds
 from greenhouse_gym.scene.plants.filled import FilledBodies
+from greenhouse_gym.scene.plants.layout import Layout, SlotIds
 from greenhouse_gym.scene.plants.topology import Topology, topology_of
 from greenhouse_gym.scene.truth import known_scene, own_start
 

@@ -21,6 +21,8 @@ import numpy.typing as npt
 _MIN_LISTED = 2
 """Minimum number of geoms of the world that are listed: MuJoCo tests two bodies of one geom each without trees."""
 
+_THREE_GEOMS = "<mujoco><worldbody>" + 3 * "<geom size='1'/>" + "</worldbody></mujoco>"
+
 
 def first_world_geom(model: mujoco.MjModel) -> int:
     """Return the id of the first geom of the world: 0, or the number of the arm's geoms if they come first."""
@@ -63,11 +65,15 @@ def copy_bodies(source: mujoco.MjModel, model: mujoco.MjModel) -> None:
         model: Its geoms in either order.
     """
     world, first, count = int(source.body_geomnum[0]), first_world_geom(model), source.ngeom
-    for name in _names("body_", "jnt_", "dof_", "eq_", "qpos", "bvh_"):
-        if name not in ("body_geomadr", "bvh_nodeid"):
+    for name in _names("body_", "jnt_", "dof_", "eq_", "qpos"):
+        if name != "body_geomadr":
             getattr(model, name)[:] = getattr(source, name)
-    ids = source.bvh_nodeid
-    model.bvh_nodeid[:] = np.where(ids >= 0, (ids + first) % count, ids) if first else ids
+    ends = source.body_bvhadr + source.body_bvhnum
+    nodes = slice(int(ends[0]), int(ends.max()))
+    for name in _names("bvh_"):
+        getattr(model, name)[nodes] = getattr(source, name)[nodes]
+    ids = model.bvh_nodeid[nodes]
+    ids[ids >= 0] -= world if first else 0
     moving = slice(0, first) if first else slice(world, count)
     for name in _names("geom_"):
         getattr(model, name)[moving] = getattr(source, name)[world:]
@@ -98,8 +104,7 @@ class ShortGeomLists:
         self._world = world = int(self._world_counts[0][0])
         start, self._all = first_world_geom(first), first.ngeom
         own = slice(start, start + world)
-        masks = np.bitwise_or.accumulate(np.stack([first.geom_contype[own], first.geom_conaffinity[own]]), axis=1)
-        enough = int((masks == masks[:, -1:]).all(axis=0).argmax()) + 1  # geoms that together have all masks
+        enough = max(_with_all_bits(masks[own]) for masks in (first.geom_contype, first.geom_conaffinity))
         self._listed = min(max(enough, _MIN_LISTED), world)
         counts = [_geom_count(model) for model in models] if start else []
         self._counts = [count for count in counts if count is not None]
@@ -118,12 +123,19 @@ class ShortGeomLists:
             count[0] = self._all
 
 
+def _with_all_bits(masks: npt.NDArray[np.int32]) -> int:
+    """Return the number of masks (n,) from the first on that together have the bits of all."""
+    everything = int(np.bitwise_or.reduce(masks))
+    bits = [1 << k for k in range(everything.bit_length()) if everything >> k & 1]
+    return max((int((masks & bit > 0).argmax()) + 1 for bit in bits), default=1)
+
+
 @contextmanager
 def without_world_geoms(model: mujoco.MjModel) -> Iterator[None]:
-    """Context in which a model lists no geoms of the world, or none that matter: for what depends on bodies alone."""
+    """Context in which a model has no geoms of the world, for what depends on bodies alone; they have to come last."""
     moving = first_world_geom(model)
     count = _geom_count(model) if moving else None
-    counts = [model.body_geomnum[:1], model.body_bvhnum[:1], *([] if count is None else [count])]
+    counts = [] if count is None else [model.body_geomnum[:1], model.body_bvhnum[:1], count]
     before = [int(one[0]) for one in counts]
     for one, value in zip(counts, (0, 0, moving), strict=False):
         one[0] = value
@@ -137,14 +149,27 @@ def without_world_geoms(model: mujoco.MjModel) -> Iterator[None]:
 def _geom_count(model: mujoco.MjModel) -> npt.NDArray[np.int64] | None:
     """Return a writable view (1,) of a model's number of geoms, which the bindings make read-only.
 
-    A model in memory begins with its sizes. If they do not agree with the bindings, as may happen in another version of
-    MuJoCo, the result is None and MuJoCo visits all geoms.
+    The result is None if the bindings show no place for it, as may happen in another version of MuJoCo, which then
+    visits all geoms.
+    """
+    index = _geom_count_index()
+    if index is None:
+        return None
+    return np.ctypeslib.as_array((ctypes.c_int64 * 1).from_address(model._address + 8 * index))
+
+
+@cache
+def _geom_count_index() -> int | None:
+    return index_of_geom_count(mujoco.MjModel.from_xml_string(_THREE_GEOMS))
+
+
+def index_of_geom_count(model: mujoco.MjModel) -> int | None:
+    """Return the index of the number of geoms among the sizes that a model in memory begins with.
+
+    If the sizes do not agree with the bindings, the result is None.
     """
     names = list(getattr(model, "_size_fields", ()))
     if "ngeom" not in names:
         return None
-    sizes = np.ctypeslib.as_array((ctypes.c_int64 * len(names)).from_address(model._address))
-    if sizes.tolist() != [getattr(model, name) for name in names]:
-        return None
-    index = names.index("ngeom")
-    return sizes[index : index + 1]
+    sizes = (ctypes.c_int64 * len(names)).from_address(model._address)
+    return names.index("ngeom") if list(sizes) == [getattr(model, name) for name in names] else None

@@ -50,7 +50,10 @@ def fill_slots(model: mujoco.MjModel, first: int, shapes: ShapeArrays, colors: A
 
 
 def write_geoms(
-    model: mujoco.MjModel, slots: slice | npt.NDArray[np.int64], shapes: ShapeArrays, colors: Array
+    model: mujoco.MjModel,
+    slots: slice | npt.NDArray[np.int64],
+    shapes: ShapeArrays,
+    colors: npt.NDArray[np.floating],
 ) -> None:
     """Turn geoms into shapes, given in the frame of their body; `build_tree` has to follow.
 

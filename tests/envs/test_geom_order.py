@@ -14,6 +14,7 @@ from greenhouse_gym.scene.geom_order import (
     _geom_count,
     compiled_geom_id,
     first_world_geom,
+    index_of_geom_count,
     put_arm_first,
 )
 from greenhouse_gym.scene.truth import true_scene
@@ -97,5 +98,6 @@ def test_sizes_that_lie_elsewhere_in_memory_are_left_alone() -> None:
     assert count.tolist() == [2]
     sizes = {name: getattr(model, name) for name in model._size_fields}
     turned = SimpleNamespace(**sizes, _size_fields=model._size_fields[::-1], _address=model._address)
-    assert _geom_count(turned) is None
-    assert _geom_count(SimpleNamespace(ngeom=2)) is None
+    assert index_of_geom_count(model) == model._size_fields.index("ngeom")
+    assert index_of_geom_count(turned) is None
+    assert index_of_geom_count(SimpleNamespace(ngeom=2)) is None

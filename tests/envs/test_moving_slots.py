@@ -28,9 +28,10 @@ from greenhouse_gym.robots import mount_on_rail
 from greenhouse_gym.scene import ArmPlacement, Scene
 from greenhouse_gym.scene.mjcf import base_position
 from greenhouse_gym.scene.plants.layout import Layout
-from greenhouse_gym.scene.plants.live import CRATED, HANGING, LOST, WAITING, LivePlants
+from greenhouse_gym.scene.plants.live import LivePlants
 from greenhouse_gym.scene.plants.live_scene import live_scene
 from greenhouse_gym.scene.plants.slots import check_fits
+from greenhouse_gym.scene.plants.states import CRATED, HANGING, LOST, WAITING
 from greenhouse_gym.scene.plants.topology import topology_of
 from greenhouse_gym.scene.scene import Provenance, Target
 

@@ -16,7 +16,8 @@ from greenhouse_gym.envs.tasks.harvest import TomatoHarvest
 from greenhouse_gym.errors import InvalidValueError, UnknownNameError
 from greenhouse_gym.scene.plants import cutting
 from greenhouse_gym.scene.plants.layout import LOOSE
-from greenhouse_gym.scene.plants.live import HANGING, LOST, LivePlants
+from greenhouse_gym.scene.plants.live import LivePlants
+from greenhouse_gym.scene.plants.states import HANGING, LOST
 
 OPTIONS: dict[str, Any] = {"bank": "mini", "plants": "compliant", "physics": "truth", "action": "joint"}
 BEEFSTEAK, CHERRY = "helios-beefsteak-2001-w05-01", "helios-cherry-2005-w01-00"

@@ -26,8 +26,8 @@ from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import Scene
 from greenhouse_gym.scene.plants.layout import ROW_REACH
-from greenhouse_gym.scene.plants.live import CRATED, HANGING
 from greenhouse_gym.scene.plants.live_scene import LiveScene
+from greenhouse_gym.scene.plants.states import CRATED, HANGING
 
 BUDGET = 1500
 """Number of actions that are rehearsed for a fruit at most."""

@@ -23,8 +23,9 @@ from greenhouse_gym.planning import plan
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.robots.kinematics import Chain, tool_chain
 from greenhouse_gym.scene import Scene
-from greenhouse_gym.scene.plants.live import HANGING, LOOSE, LivePlants
+from greenhouse_gym.scene.plants.live import LivePlants
 from greenhouse_gym.scene.plants.live_scene import LiveScene, live_scene
+from greenhouse_gym.scene.plants.states import HANGING, LOOSE
 
 Action = npt.NDArray[np.float32]
 

@@ -14,7 +14,7 @@ from greenhouse_gym.agents.harvest.rehearsal import Action, Rehearsal, Rehearsin
 from greenhouse_gym.envs.tasks.harvest import TomatoHarvest
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.scene.plants.cutting import CutterPlants
-from greenhouse_gym.scene.plants.live import HANGING
+from greenhouse_gym.scene.plants.states import HANGING
 
 _BEFORE = 0.06  # metres in front of the peduncle at which a path ends
 _CLOSING, _CLOSES = 0.06, 40  # m/s, and actions at most

@@ -9,6 +9,7 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from greenhouse_gym.envs.episodes import Episode, EpisodeSampler
 from greenhouse_gym.envs.features import FEATURES, MAX_OFFSET, Feature
@@ -195,19 +196,16 @@ class TomatoHarvest(Task):
             episode = sampler.draw(rng, options)
             if self.size == "row":
                 _check_rail(sampler.robot, episode.scene)
-            fruit, problem = self._fruit(episode, sampler)
+            ripe = ripe_targets(episode.scene, self.ripe)
+            fruit, problem = self._fruit(episode, sampler, ripe)
             if not problem:
-                shown = ripe_targets(episode.scene, self.ripe)
-                targets = sorted(
-                    (k for k, one in shown.items() if one in fruit), key=lambda k: k not in episode.targets
-                )
+                targets = sorted((k for k, one in ripe.items() if one in fruit), key=lambda k: k not in episode.targets)
                 return replace(episode, targets=tuple(targets), fruit=fruit)
         raise InvalidValueError(f"no episode of size {self.size!r} in {_DRAWS} draws; the last: {problem}")
 
-    def _fruit(self, episode: Episode, sampler: EpisodeSampler) -> tuple[tuple[int, ...], str]:
+    def _fruit(self, episode: Episode, sampler: EpisodeSampler, ripe: Mapping[int, int]) -> tuple[tuple[int, ...], str]:
         """Return the fruit of an episode among those of the scene's truth, or the reason why it has no fruit."""
         scene = episode.scene
-        ripe = ripe_targets(scene, self.ripe)
         anchor = ripe.get(episode.targets[0])
         if anchor is None and self.size != "row":
             where = f"scene {scene.name!r}, tomato {episode.targets[0]}"
@@ -302,8 +300,7 @@ def ripe_targets(scene: Scene, ripe: float) -> dict[int, int]:
             "built from simulated recordings"
         )
     shown, true = (one.arrays.starts[: len(one.tomatoes)] for one in (scene, scene.truth))
-    apart = lengths((true - shown[:, None]).reshape(-1, 3)).reshape(len(shown), len(true))
-    nearest = apart.argmin(axis=1)
+    _, nearest = cKDTree(true).query(shown)
     is_ripe = np.nan_to_num(scene.truth.columns.ripeness) >= ripe
-    matched = np.flatnonzero((apart.min(axis=1) <= MATCHED) & is_ripe[nearest])
+    matched = np.flatnonzero((lengths(true[nearest] - shown) <= MATCHED) & is_ripe[nearest])
     return dict(zip(matched.tolist(), nearest[matched].tolist(), strict=True))

@@ -9,16 +9,8 @@ from greenhouse_gym.geometry import Array
 from greenhouse_gym.scene.obstacle_slots import build_tree
 from greenhouse_gym.scene.plants.detachment import first_geom, hold, leave_stub, move_free, update_constants
 from greenhouse_gym.scene.plants.layout import ALL, CUP, LOOSE
-from greenhouse_gym.scene.plants.live import (
-    CRATED,
-    FLOOR_HEIGHT,
-    HANGING,
-    LOST,
-    REST_ACTIONS,
-    REST_SPEED,
-    LivePlants,
-    Work,
-)
+from greenhouse_gym.scene.plants.live import FLOOR_HEIGHT, REST_ACTIONS, REST_SPEED, LivePlants
+from greenhouse_gym.scene.plants.states import CRATED, HANGING, LOST, Work
 
 CUT_GAP = 0.006
 """Maximum gap between the tool and a peduncle that it cuts, metres."""
@@ -46,6 +38,11 @@ class CutterPlants(LivePlants):
     def holding(self) -> bool:
         """True if the tool holds a truss."""
         return self.held_truss >= 0
+
+    @property
+    def at_rest(self) -> bool:
+        """True if the tool has not cut anything yet, and nothing that came off is on the move."""
+        return super().at_rest and not self.cut.any()
 
     @property
     def hold_limit(self) -> float:

@@ -23,21 +23,32 @@ def first_geom(model: mujoco.MjModel, body: int) -> int:
     return int(model.body_geomadr[body])
 
 
-def stress(model: mujoco.MjModel, data: mujoco.MjData, bodies: Array, axes: Array) -> tuple[Array, Array]:
-    """Return pull (n,) beyond the fruit's weight, N, and bend (n,), radians, of the pedicels of hanging fruit.
+def pull_on(model: mujoco.MjModel, data: mujoco.MjData, bodies: Array) -> Array:
+    """Return the pull (n,) beyond the fruit's weight on the pedicels of hanging fruit, N.
 
     Args:
         model: The model.
         data: Its state after a step and `mujoco.mj_rnePostConstraint`.
         bodies: (n,) bodies of the fruit.
+    """
+    pull = data.cfrc_int[bodies, 3:]
+    pull[:, 2] -= model.body_mass[bodies] * GRAVITY
+    return np.asarray(np.sqrt((pull * pull).sum(axis=1)))
+
+
+def bend_of(model: mujoco.MjModel, data: mujoco.MjData, bodies: Array, axes: Array) -> Array:
+    """Return the bend (n,) of the pedicels of hanging fruit, radians.
+
+    Args:
+        model: The model.
+        data: Its state.
+        bodies: (n,) bodies of the fruit.
         axes: (n, 3) unit vectors along the unbent pedicels.
     """
-    pull = data.cfrc_int[bodies, 3:].copy()
-    pull[:, 2] -= model.body_mass[bodies] * GRAVITY
     first = model.jnt_qposadr[model.body_jntadr[bodies]]
     vector = data.qpos[first[:, None] + [1, 2, 3]]  # of the quaternion; what it has along the axis only twists
     across = (vector * vector).sum(axis=1) - (vector * axes).sum(axis=1) ** 2
-    return np.sqrt((pull * pull).sum(axis=1)), 2 * np.arcsin(np.sqrt(np.clip(across, 0.0, 1.0)))
+    return np.asarray(2 * np.arcsin(np.sqrt(np.clip(across, 0.0, 1.0))))
 
 
 def load_of(pull: Array, bend: Array, mechanics: PlantMechanics) -> Array:

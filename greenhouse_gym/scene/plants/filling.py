@@ -12,7 +12,7 @@ import numpy.typing as npt
 from greenhouse_gym.geometry import Array, ShapeArrays, transform
 from greenhouse_gym.geometry.shape_arrays import BOX, CAPSULE
 from greenhouse_gym.scene import CompiledScene
-from greenhouse_gym.scene.geom_order import first_world_geom
+from greenhouse_gym.scene.geom_order import first_world_geom, without_world_geoms
 from greenhouse_gym.scene.obstacle_slots import build_tree, write_geoms
 from greenhouse_gym.scene.plants.detachment import first_geom, update_constants
 from greenhouse_gym.scene.plants.filled import FilledBodies
@@ -106,49 +106,52 @@ class Filler:
 
     def finish(self, bodies: Sequence[int], ids: SlotIds, scratch: mujoco.MjData) -> None:
         """Choose damping, and springs that hold the organs in bodies where they hang."""
-        model, mechanics, data = self._model, self._mechanics, scratch
-        mujoco.mj_resetData(model, data)
+        model, data = self._model, scratch
         update_constants(model, data)
         data.qpos[:], data.qvel[:] = model.qpos0, 0.0
-        mujoco.mj_kinematics(model, data)
+        with without_world_geoms(model):
+            mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_comVel(model, data)
         self._part_overlaps(data, bodies, ids)
         bias = np.zeros(model.nv)
         mujoco.mj_rne(model, data, 0, bias)
-        for body in bodies:
-            joints = range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body])
-            # an organ is as stiff sideways, where it bears no weight, as up and down: it would fall over when it rises
-            stiffness = max(self._stiffness(data, body, joint, bias) for joint in joints)
-            for joint in joints:
-                ball = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_BALL
-                dofs, qpos = _dofs(model, joint), int(model.jnt_qposadr[joint])
-                torque = bias[dofs]
-                model.jnt_stiffness[joint] = stiffness
-                damping = 2 * mechanics.damping_ratio * np.sqrt(stiffness * model.dof_M0[dofs])
-                model.dof_damping[dofs] = np.maximum(damping, _MIN_DAMPING)
-                if ball:
-                    bend = torque / stiffness
-                    angle = float(np.linalg.norm(bend))
-                    axis = bend / angle if angle > 0 else np.array([1.0, 0.0, 0.0])
-                    mujoco.mju_axisAngle2Quat(model.qpos_spring[qpos : qpos + 4], axis, angle)
-                else:
-                    model.qpos_spring[qpos] = torque[0] / stiffness
+        self._preload(data, np.array(bodies), bias)
 
-    def _stiffness(self, data: mujoco.MjData, body: int, joint: int, bias: Array) -> float:
-        """Return the stiffness at which a joint of a body holds what hangs on it.
+    def _preload(self, data: mujoco.MjData, bodies: npt.NDArray[np.int64], bias: Array) -> None:
+        """Choose stiffness, damping and rest poses of organs, which have a ball joint or two hinges each.
 
         Args:
-            data: The pose in which it hangs, without springs.
-            body: The body.
-            joint: The joint.
+            data: The pose in which they hang, without springs.
+            bodies: (n,) the bodies.
             bias: (dofs,) torques of gravity, N m.
         """
-        model = self._model
-        above = data.subtree_com[body][2] - data.xanchor[joint][2]
-        tipping = float(-model.opt.gravity[2] * model.body_subtreemass[body] * above)
-        stiffness = float(model.jnt_stiffness[joint]) + _UPRIGHT_MARGIN * max(0.0, tipping)
-        return max(stiffness, float(np.linalg.norm(bias[_dofs(model, joint)])) / self._mechanics.max_sag)
+        model, mechanics = self._model, self._mechanics
+        first, dof = model.body_jntadr[bodies], model.body_dofadr[bodies]
+        at = model.jnt_qposadr[first]
+        above = data.subtree_com[bodies, 2] - data.xanchor[first, 2]
+        tipping = np.maximum(0.0, -model.opt.gravity[2] * model.body_subtreemass[bodies] * above)
+        stiffness = model.jnt_stiffness[first] + _UPRIGHT_MARGIN * tipping
+        ball = model.jnt_type[first] == mujoco.mjtJoint.mjJNT_BALL
+        torques = bias[dof[:, None] + np.where(ball[:, None], [0, 1, 2], [0, 1, 1])]
+        # an organ is as stiff sideways, where it bears no weight, as up and down: it would fall over when it rises
+        largest = np.abs(torques).max(axis=1)
+        largest[ball] = [np.linalg.norm(torque) for torque in torques[ball]]
+        stiffness = np.maximum(stiffness, largest / mechanics.max_sag)
+        for k in range(3):
+            has = ball | (k < 2)
+            own = dof[has] + k
+            damping = 2 * mechanics.damping_ratio * np.sqrt(stiffness[has] * model.dof_M0[own])
+            model.dof_damping[own] = np.maximum(damping, _MIN_DAMPING)
+        bends = torques / stiffness[:, None]
+        for k in range(2):
+            model.jnt_stiffness[first[~ball] + k] = stiffness[~ball]
+            model.qpos_spring[at[~ball] + k] = bends[~ball, k]
+        model.jnt_stiffness[first[ball]] = stiffness[ball]
+        for k in np.flatnonzero(ball).tolist():
+            angle = float(np.linalg.norm(bends[k]))
+            axis = bends[k] / angle if angle > 0 else np.array([1.0, 0.0, 0.0])
+            mujoco.mju_axisAngle2Quat(model.qpos_spring[at[k] : at[k] + 4], axis, angle)
 
     def shapes(self, rows: Sequence[int]) -> ShapeArrays:
         """Return shapes where they are now."""
@@ -173,11 +176,14 @@ class Filler:
         loose = [int(model.body_geomadr[body]) for body in bodies if body in ids.fruit]
         for body in ids.truss[: len(ids.cut)]:  # whole trusses come loose
             loose += range(int(model.body_geomadr[body]), int(model.body_geomadr[body] + model.body_geomnum[body]))
-        for one in loose:
-            apart = np.linalg.norm(data.geom_xpos[static] - data.geom_xpos[one], axis=1)
-            for geom in static[apart < model.geom_rbound[static] + model.geom_rbound[one]]:
-                if mujoco.mj_geomDistance(model, data, one, int(geom), 0.0, None) < 0:
-                    model.geom_conaffinity[geom] &= ~LOOSE
+        offsets = model.geom_pos[static] - data.geom_xpos[loose][:, None]
+        apart = np.sqrt((offsets * offsets).sum(axis=2))
+        for k, j in np.argwhere(apart < model.geom_rbound[static] + model.geom_rbound[loose][:, None]).tolist():
+            geom = int(static[j])
+            data.geom_xpos[geom] = model.geom_pos[geom]
+            mujoco.mju_quat2Mat(data.geom_xmat[geom], model.geom_quat[geom])
+            if mujoco.mj_geomDistance(model, data, loose[k], geom, 0.0, None) < 0:
+                model.geom_conaffinity[geom] &= ~LOOSE
 
     def _hinges(self, body: int, branch: Branch, stiffness: float) -> None:
         """Place a body at the root of an organ that droops and swings about it."""
@@ -188,7 +194,7 @@ class Filler:
         outward = outward / length if length > 1e-3 else np.array([-1.0, 0.0, 0.0])
         joint = int(model.body_jntadr[body])
         model.body_pos[body] = branch.root
-        model.jnt_axis[joint], model.jnt_axis[joint + 1] = np.cross(_UP, outward), _UP
+        model.jnt_axis[joint], model.jnt_axis[joint + 1] = [-outward[1], outward[0], 0.0], _UP
         model.jnt_stiffness[joint : joint + 2] = stiffness
 
     def _put(self, body: int, shapes: ShapeArrays, colors: Colors, origin: Array, organ: Hashable) -> None:
@@ -263,9 +269,3 @@ def _straight(starts: Array, ends: Array, radius: float) -> ShapeArrays:
     result = ShapeArrays.empty(len(starts))
     result.kinds[:], result.starts[:], result.ends[:], result.sizes[:, 0] = CAPSULE, starts, ends, radius
     return result
-
-
-def _dofs(model: mujoco.MjModel, joint: int) -> slice:
-    """Return the degrees of freedom of a hinge or a ball joint."""
-    dof = int(model.jnt_dofadr[joint])
-    return slice(dof, dof + (3 if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_BALL else 1))

@@ -183,6 +183,7 @@ class SlotIds:
         crate: Body of the crate.
         cup: Body of the suction cup.
         cup_geom: Its geom in the compiled order, or -1.
+        tip: Site at the tip.
         weld: The equality constraint.
     """
 
@@ -199,6 +200,7 @@ class SlotIds:
         fruit = [[body(f"cut_{i}_{k}") for k in range(layout.fruit)] for i in range(cut)]
         self.cut_fruit = np.array(fruit, dtype=np.int64).reshape(cut, layout.fruit)
         self.crate = body("crate")
-        self.cup = int(model.site(TIP_SITE).bodyid[0])
+        self.tip = int(model.site(TIP_SITE).id)
+        self.cup = int(model.site_bodyid[self.tip])
         self.cup_geom = int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, CUP_GEOM))
         self.weld = int(model.equality(SUCTION).id)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -12,23 +11,21 @@ import numpy.typing as npt
 
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.scene.plants.detachment import (
+    bend_of,
     detach,
     first_geom,
     held_force,
     let_go,
     load_of,
     park,
+    pull_on,
     settle,
-    stress,
     weld,
 )
 from greenhouse_gym.scene.plants.layout import CRATE_BOXES, Crate, Layout
 from greenhouse_gym.scene.plants.mechanics import GRAVITY
 from greenhouse_gym.scene.plants.slots import Planted
-
-WAITING, EMPTY, HANGING, LOOSE, CRATED, LOST = -2, -1, 0, 1, 2, 3
-"""States of a fruit: on a truss that has no slot, no fruit at all, on a truss in a slot, off it and on the move, at
-rest in the crate, at rest or on the floor elsewhere."""
+from greenhouse_gym.scene.plants.states import CRATED, EMPTY, HANGING, LOOSE, LOST, WAITING, Felt, InReach, Work
 
 SEAL_GAP, SEAL_ANGLE = 0.005, 0.7
 """Maximum gap between cup and skin, metres, and angle between tool and skin normal, radians, to suck a fruit."""
@@ -43,44 +40,6 @@ FLOOR_HEIGHT = 0.02
 """Gap to the floor below which a fruit has been dropped, metres."""
 
 
-class Felt(NamedTuple):
-    """Events among the plants of a simulation in an action.
-
-    Attributes:
-        force: (3,) mean force of the held fruit on the cup, N, in the scene.
-        detached: Number of fruit to be picked that came off in the cup.
-        knocked: Number of fruit that came off otherwise.
-        crated: Number of fruit to be picked that came to rest in the crate.
-        dropped: Number of fruit that came off in the cup and were lost.
-        damaged: Number of organs damaged for the first time.
-    """
-
-    force: Array
-    detached: int = 0
-    knocked: int = 0
-    crated: int = 0
-    dropped: int = 0
-    damaged: int = 0
-
-
-class Work(NamedTuple):
-    """Fruit or truss in work.
-
-    Attributes:
-        number: Its number among the fruit or trusses; -1 without one.
-        point: (3,) where the tool has to go, or the middle of what it holds, metres.
-        radius: Radius of what is at the point, metres.
-        joint: (3,) start of the pedicel of the fruit, or the point to cut, metres.
-        hangs: True unless it came off.
-    """
-
-    number: int
-    point: Array
-    radius: float
-    joint: Array
-    hangs: bool
-
-
 class LivePlants:
     """Plants of one simulation, whose arm has a suction cup.
 
@@ -93,6 +52,8 @@ class LivePlants:
 
     Attributes:
         state: (fruit,) state of each fruit that can come off, truss by truss.
+        wanted: (fruit,) whether each is to be picked.
+        total: Number of fruit to be picked.
         held: Index of the fruit in the cup, or -1.
         seated: (slots,) truss in each slot, or -1.
         leaves: Leaf in each slot.
@@ -109,12 +70,14 @@ class LivePlants:
         in_slot = np.arange(len(planted.fruit)) < layout.trusses
         self.state = np.where(planted.fruit >= 0, np.where(in_slot[:, None], HANGING, WAITING), EMPTY).ravel()
         self.wanted = planted.wanted.ravel()
+        self.total = int(np.count_nonzero(self.wanted))
         self.held = -1
         self.seated = np.where(np.arange(layout.trusses) < len(planted.trusses), np.arange(layout.trusses), -1)
         self.leaves = planted.leaves
         self.motions: Mapping[int, Array] = {}
         self._bodies = np.resize(planted.ids.fruit, len(self.state))  # valid for fruit in slots only
         self._loose_of = np.full(layout.loose, -1)
+        self._last_in_reach: InReach | None = None
         self._by_cup = np.zeros(len(self.state), dtype=np.bool_)
         self._settled = 0
         self._still = np.zeros(layout.loose, dtype=np.int64)
@@ -122,7 +85,7 @@ class LivePlants:
         self._truss_still = np.zeros(layout.trusses, dtype=np.int64)
         self._damaged: set[int] = set()
         self._press: dict[int, float] = {}
-        self._pull, self._force, self._substeps = np.zeros(len(self.state)), np.zeros(3), 0
+        self._pull, self._force = np.zeros(len(self.state)), np.zeros(3)
         self._axes = self._pedicel_axes(self._bodies)
         self._organs = [*planted.ids.truss, *planted.ids.leaf]
         self._hinges = np.array([model.jnt_qposadr[model.body_jntadr[body]] for body in self._organs])
@@ -146,6 +109,11 @@ class LivePlants:
         return self.held >= 0
 
     @property
+    def at_rest(self) -> bool:
+        """True if the tool holds nothing and nothing that came off is on the move."""
+        return not self.holding and bool(self._loose_of.max(initial=-1) < 0)
+
+    @property
     def hold_limit(self) -> float:
         """Force at which the tool lets go, N."""
         return self.planted.mechanics.cup_limit
@@ -163,25 +131,27 @@ class LivePlants:
         Args:
             pressed: Forces of the arm on other things, N, by geom.
         """
-        self._substeps += 1
         for geom, force in pressed.items():
             self._press[geom] = self._press.get(geom, 0.0) + force
         if self.data.ntree_awake > 1:
             mujoco.mj_rnePostConstraint(self.model, self.data)
-            pull, _ = stress(self.model, self.data, self._bodies, self._axes)
-            self._pull += pull
+            self._pull += pull_on(self.model, self.data, self._bodies)
         if self.holding:
             self._force += held_force(self.data, self._ids)
 
-    def finish_action(self) -> Felt:
-        """Find the fruit that came off or came to rest and the organs damaged, with current kinematics."""
-        steps, force = max(self._substeps, 1), self._force / max(self._substeps, 1)
+    def finish_action(self, steps: int) -> Felt:
+        """Find the fruit that came off or came to rest and the organs damaged, with current kinematics.
+
+        Args:
+            steps: Number of physics steps of the action.
+        """
+        force = self._force / steps
         detached, knocked = self._part(self._pull / steps)
         if self.holding and np.linalg.norm(force) > self.hold_limit:
             self._release()
         crated, dropped = self._follow_loose()
         damaged = self._damage(steps)
-        self._pull[:], self._substeps, self._press = 0.0, 0, {}
+        self._pull[:], self._press = 0.0, {}
         self._force = np.zeros(3)
         return Felt(force, detached, knocked, crated, dropped, damaged)
 
@@ -197,7 +167,7 @@ class LivePlants:
     @property
     def left(self) -> int:
         """Number of fruit to be picked that are neither in the crate nor lost."""
-        return int(np.count_nonzero(self.wanted & (self.state <= LOOSE)))
+        return self._in_reach().left
 
     def body_of(self, fruit: int) -> int:
         """Return the body of a fruit that is not at rest."""
@@ -216,7 +186,9 @@ class LivePlants:
 
     def radius(self, fruit: int) -> float:
         """Return the radius of the sphere of the same volume as a fruit, metres."""
-        geom = int(self._geoms(np.array(fruit)))
+        return self._radius_of(int(self._geoms(np.array(fruit))))
+
+    def _radius_of(self, geom: int) -> float:
         size = self.model.geom_size[geom]
         ellipsoid = self.model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_ELLIPSOID
         return float(np.cbrt(size.prod()) if ellipsoid else size[0])
@@ -228,16 +200,38 @@ class LivePlants:
     def work(self, tip: Array) -> Work:
         """Return the held fruit, or the fruit to be picked that hangs nearest to the tip (3,)."""
         fruit = self.held
-        if fruit < 0:
-            left = np.flatnonzero(self.wanted & (self.state <= HANGING))
-            if not len(left):
-                return Work(-1, tip, 0.0, tip, False)
-            offsets = self.data.geom_xpos[self._geoms(left)] - tip
-            fruit = int(left[(offsets * offsets).sum(axis=1).argmin()])
-        return Work(fruit, self.center(fruit), self.radius(fruit), self.joint_of(fruit), self.state[fruit] <= HANGING)
+        if fruit >= 0:
+            hangs = bool(self.state[fruit] <= HANGING)
+            return Work(fruit, self.center(fruit), self.radius(fruit), self.joint_of(fruit), hangs)
+        known = self._in_reach()
+        if not len(known.wanted):
+            return Work(-1, tip, 0.0, tip, False)
+        centers = self.data.geom_xpos[known.geoms]
+        offsets = centers - tip
+        nearest = int((offsets * offsets).sum(axis=1).argmin())
+        fruit = int(known.wanted[nearest])
+        return Work(fruit, centers[nearest], known.radii[nearest], self.joint_of(fruit), True)
 
-    def move_on(self) -> None:
-        """Give slots to other organs, which only plants along a row do."""
+    def _in_reach(self) -> InReach:
+        """Return the fruit that the tool may go to; they are looked up again when one changes its state or body."""
+        known, key = self._last_in_reach, (self.state.tobytes(), self._bodies.tobytes())
+        if known is None or known.key != key:
+            wanted = np.flatnonzero(self.wanted & (self.state <= HANGING))
+            geoms, bodies = self._geoms(wanted), self._bodies.copy()
+            slots = np.flatnonzero(self._loose_of >= 0)
+            bodies[self._loose_of[slots]] = self._ids.loose[slots]
+            loose = np.flatnonzero((self.state == HANGING) | (self.state == LOOSE))
+            loose_geoms = self.model.body_geomadr[bodies[loose]]
+            known = self._last_in_reach = InReach(
+                key, int(np.count_nonzero(self.wanted & (self.state <= LOOSE))), wanted, geoms,
+                [self._radius_of(geom) for geom in geoms.tolist()],
+                loose, loose_geoms, self.model.geom_rbound[loose_geoms] + SEAL_GAP,
+            )  # fmt: skip
+        return known
+
+    def move_on(self) -> bool:
+        """Give slots to other organs, which only plants along a row do; return True if any did."""
+        return False
 
     def _geoms(self, fruit: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
         """Return the geoms of fruit (n,) that hang."""
@@ -245,19 +239,16 @@ class LivePlants:
 
     def _catch(self) -> None:
         """Hold the nearest fruit that the cup can seal on."""
-        model, data = self.model, self.data
-        site = data.site("tip")
-        tip, axis = site.xpos, site.xmat.reshape(3, 3)[:, 2]
-        best, found = SEAL_GAP, -1
-        bodies = self._bodies.copy()
-        loose = np.flatnonzero(self._loose_of >= 0)
-        bodies[self._loose_of[loose]] = self._ids.loose[loose]
-        geoms = model.body_geomadr[bodies]
-        apart = data.geom_xpos[geoms] - tip
+        model, data, known = self.model, self.data, self._in_reach()
+        apart = data.geom_xpos[known.loose_geoms] - data.site_xpos[self._ids.tip]
         distances = np.sqrt((apart * apart).sum(axis=1))
-        near = (distances <= model.geom_rbound[geoms] + SEAL_GAP) & (apart @ axis >= np.cos(SEAL_ANGLE) * distances)
-        for fruit in np.flatnonzero(near & ((self.state == HANGING) | (self.state == LOOSE))).tolist():
-            gap = mujoco.mj_geomDistance(model, data, self._cup_geom, int(geoms[fruit]), 2 * SEAL_GAP, None)
+        near = distances <= known.reaches
+        if not near.any():
+            return
+        near &= apart @ data.site_xmat[self._ids.tip, 2::3] >= np.cos(SEAL_ANGLE) * distances
+        best, found = SEAL_GAP, -1
+        for fruit, geom in zip(known.loose[near].tolist(), known.loose_geoms[near].tolist(), strict=True):
+            gap = mujoco.mj_geomDistance(model, data, self._cup_geom, geom, 2 * SEAL_GAP, None)
             if gap < best:
                 best, found = gap, fruit
         if found >= 0:
@@ -282,7 +273,7 @@ class LivePlants:
 
     def _part(self, pull: Array) -> tuple[int, int]:
         """Take off the fruit whose pedicels part; return how many the cup held, and how many it did not."""
-        _, bend = stress(self.model, self.data, self._bodies, self._axes)
+        bend = bend_of(self.model, self.data, self._bodies, self._axes)
         parting = (load_of(pull, bend, self.planted.mechanics) >= 1) & (self.state == HANGING)
         detached = knocked = 0
         for fruit in np.flatnonzero(parting).tolist():

@@ -9,7 +9,8 @@ import numpy as np
 
 from greenhouse_gym.geometry import Array, Box, pose, transformed
 from greenhouse_gym.scene import CompiledScene, Scene
-from greenhouse_gym.scene.plants.live import HANGING, WAITING, LivePlants
+from greenhouse_gym.scene.plants.live import LivePlants
+from greenhouse_gym.scene.plants.states import HANGING, WAITING
 
 _AT_REST = 2e-4  # metres and radians by which an organ may have moved and still be where it was scanned
 

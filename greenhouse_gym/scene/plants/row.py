@@ -14,9 +14,10 @@ from greenhouse_gym.scene.obstacle_slots import build_tree
 from greenhouse_gym.scene.plants.detachment import leave_stub
 from greenhouse_gym.scene.plants.filling import Filler, empty_bodies
 from greenhouse_gym.scene.plants.layout import ALL, ARM, CUP, ROW_REACH
-from greenhouse_gym.scene.plants.live import HANGING, WAITING, LivePlants
+from greenhouse_gym.scene.plants.live import LivePlants
 from greenhouse_gym.scene.plants.live_scene import motions
 from greenhouse_gym.scene.plants.slots import nearest_leaves, seat
+from greenhouse_gym.scene.plants.states import HANGING, WAITING
 from greenhouse_gym.scene.plants.topology import Leaf
 
 BEHIND = 0.1
@@ -36,16 +37,16 @@ class RowPlants(LivePlants):
     there. Organs that move or are touched stay as they are.
     """
 
-    def move_on(self) -> None:
-        """Move slots on to trusses within reach, with current kinematics."""
+    def move_on(self) -> bool:
+        """Move slots on to trusses within reach, with current kinematics; return True if any did."""
         if not (self.wanted & (self.state == WAITING)).any():
-            return
+            return False
         gaps = self._gaps()
         own = np.where(self.seated >= 0, gaps[self.seated], np.inf)
         late = own > ROW_REACH + BEHIND
         waiting = [truss for truss in np.flatnonzero(gaps < ROW_REACH).tolist() if truss not in self.seated]
         if not late.any() or not waiting:
-            return
+            return False
         in_contact: Ints = np.unique(self.data.contact.geom)
         near = [
             truss for truss in sorted(waiting, key=lambda truss: float(gaps[truss]))
@@ -57,6 +58,7 @@ class RowPlants(LivePlants):
         swaps = list(zip(free, near, strict=False))
         if swaps:
             self._swap(swaps, in_contact)
+        return bool(swaps)
 
     def joint_of(self, fruit: int) -> Array:
         """Return the start (3,) of the pedicel of a fruit on its rachis, metres."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import islice
 
 import mujoco
 import numpy as np
@@ -16,8 +17,8 @@ from greenhouse_gym.scene import CompiledScene
 from greenhouse_gym.scene.geom_order import first_world_geom
 from greenhouse_gym.scene.mjcf import base_position
 from greenhouse_gym.scene.obstacles import Surroundings
-from greenhouse_gym.scene.plants.filling import Filler, empty_bodies
 from greenhouse_gym.scene.plants.filled import FilledBodies
+from greenhouse_gym.scene.plants.filling import Filler, empty_bodies
 from greenhouse_gym.scene.plants.layout import ALL, ARM, ATTACHED, CUP, PETIOLE, RACHIS, Layout, SlotIds
 from greenhouse_gym.scene.plants.mechanics import PlantMechanics
 from greenhouse_gym.scene.plants.topology import Fruit, Leaf, Topology, Truss
@@ -169,13 +170,13 @@ def seat(filler: Filler, planted: Planted, slot: int, truss: int) -> None:
 
 def nearest_leaves(topology: Topology, arrays: ShapeArrays, centers: Array, count: int) -> list[Leaf]:
     """Return the leaves that are nearest to the fruit to be picked (n, 3) and fit into slots."""
-    fitting = [leaf for leaf in topology.leaves if len(leaf.rows) <= PETIOLE and leaf.plates]
-    if not fitting:
+    rows, first = topology.plates
+    if not len(rows):
         return []
-    points = arrays.starts[[row for leaf in fitting for row in leaf.plates]]
-    gaps = np.linalg.norm(points[:, None] - centers, axis=-1).min(axis=1)
-    first = np.cumsum([0, *(len(leaf.plates) for leaf in fitting[:-1])])
-    return [fitting[k] for k in np.minimum.reduceat(gaps, first).argsort(kind="stable")[:count]]
+    gaps = np.linalg.norm(arrays.starts[rows][:, None] - centers, axis=-1).min(axis=1)
+    leaves = [leaf for leaf in topology.leaves if leaf.plates]
+    order = np.minimum.reduceat(gaps, first).argsort(kind="stable").tolist()
+    return list(islice((leaves[k] for k in order if len(leaves[k].rows) <= PETIOLE), count))
 
 
 def _distance(arrays: ShapeArrays, truss: Truss, wanted: Sequence[int], point: Array) -> float:

@@ -110,6 +110,12 @@ class Topology:
         """Rows of the clutter that gives way: leaves and calyces."""
         return np.setdiff1d(np.array(self.clutter, dtype=np.int64), self.fixed)
 
+    @cached_property
+    def plates(self) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+        """Rows of the leaflets of all leaves with any, leaf by leaf, and where each of these leaves begins."""
+        each = [leaf.plates for leaf in self.leaves if leaf.plates]
+        return np.concatenate([*each, []]).astype(np.int64), np.cumsum([0, *(len(one) for one in each)])[:-1]
+
     def truss_of(self, fruit: int) -> Truss:
         """Return the truss of a fruit, given by its index among the tomatoes."""
         return next(truss for truss in self.trusses if any(one.row == fruit for one in truss.fruit))
