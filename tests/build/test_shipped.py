@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import make_scene
+from scipy.spatial import cKDTree
 
 from greenhouse_gym.build import grown, shipped
 from greenhouse_gym.build.grown import KINDS, RowRecording, build_part, build_training_bank, training_recordings
@@ -192,6 +193,16 @@ def test_a_shipped_recording_is_built_again(tmp_path: Path) -> None:
     recording = next(shipped.row_recordings())
     made, bank = SceneBank.open(build_part(recording, tmp_path, shipped.DESCRIPTION)), SceneBank.open("default")
     assert made.names() == [name for name in bank.names() if name.startswith(f"{recording.name}-")]
-    # on another kind of processor, sums round differently in places, and the scenes differ by tenths of a millimetre
+    # on another kind of processor, sums round differently in places: fruit move by tenths of a millimetre, stems and
+    # clutter are divided elsewhere, and one shape of twenty comes or goes
+    t = np.linspace(0, 1, 101)[:, None, None]
     for name in made.names():
-        assert made.scene(name).model_dump_json() == bank.scene(name).model_dump_json(), name
+        scenes = [one.scene(name) for one in (made, bank)]
+        assert scenes[0].placement.model_dump() == scenes[1].placement.model_dump(), name
+        axes = [scene.arrays.starts + t * (scene.arrays.ends - scene.arrays.starts) for scene in scenes]
+        for k, tolerance in enumerate((1e-3, 3e-3, 0.05)):
+            first, last = (np.array([sum(scene.counts[:m]) for scene in scenes]) for m in (k, k + 1))
+            found, expected = (points[:, a:b] for points, a, b in zip(axes, first, last, strict=True))
+            assert abs(found.shape[1] - expected.shape[1]) <= 1 + 0.05 * expected.shape[1], (name, k)
+            gaps = cKDTree(expected.reshape(-1, 3)).query(found.reshape(-1, 3))[0]
+            assert np.mean(gaps < tolerance) > 0.95, (name, k, np.quantile(gaps, [0.5, 0.9, 0.95]))
