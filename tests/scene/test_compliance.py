@@ -362,12 +362,12 @@ def replay(env, actions, seed, finer):
     """Repeat actions with finer steps; return which fruit came off, and the largest bend (organs,) of each organ."""
     env.reset(seed=seed)
     physics, live = env.simulation._physics, env.simulation.live(0)
-    live.model.opt.timestep /= finer
-    timing = physics._timing
+    step, timing = live.model.opt.timestep, physics._timing
+    live.model.opt.timestep = step / finer
     physics._timing = timing._replace(substeps=finer * timing.substeps)
     bends = []
     for action in actions:
         env.simulation.step(action[None])
         bends.append(np.linalg.norm(live.data.qpos[live.plants._hinges[:, None] + [0, 1]], axis=1))
-    physics._timing = timing
+    physics._timing, live.model.opt.timestep = timing, step
     return (live.plants.state > 0).tolist(), np.max(bends, axis=0)
