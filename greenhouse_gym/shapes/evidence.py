@@ -16,6 +16,7 @@ SHELL = 0.004
 
 Mask = npt.NDArray[np.bool_]
 
+_COLUMN = 0.03  # metres: side of the columns in which points are searched
 _NOISE = 0.0015  # metres that points may stand out of a fruit and still be skin
 _ALIGNMENT = 0.9  # cosine between a point's normal and the sphere's above which it is skin
 _MAX_DISTANCE = 0.008  # metres from a fruit at which aligned points are still skin, as a distant camera sees it
@@ -36,16 +37,39 @@ class Evidence(NamedTuple):
 def nearest_shapes(points: Array, shapes: Sequence[Shape], reach: float) -> Evidence:
     """Assign each point (n, 3) to the nearest shape whose surface is within ``reach`` metres, or that contains it."""
     owner, residual = np.full(len(points), -1, dtype=np.int32), np.full(len(points), np.nan)
-    order = np.argsort(points[:, 1], kind="stable")
-    along = points[order, 1]
+    columns = _Columns(points)
     for index, shape in enumerate(shapes):  # shapes are far from nearly all points: search a box around each
         low, high = _bounds(shape, reach)
-        rows = order[np.searchsorted(along, low[1]) : np.searchsorted(along, high[1], "right")]
+        rows = columns.near(low, high)
         rows = rows[((points[rows] >= low) & (points[rows] <= high)).all(axis=1)]
         distance = distance_to_shapes(points[rows], [shape])[:, 0]
         nearer = (distance <= reach) & ~(distance >= residual[rows])
         owner[rows[nearer]], residual[rows[nearer]] = index, distance[nearer]
     return Evidence(owner, residual)
+
+
+class _Columns:
+    """Points (n, 3) by square columns through the row, from the aisle to the other one."""
+
+    def __init__(self, points: Array):
+        self._first = points[:, 1:].min(axis=0) if len(points) else np.zeros(2)
+        cells = self._cells(points[:, 1:])
+        self._last = cells.max(axis=0, initial=0)
+        keys = cells @ [self._last[1] + 1, 1]
+        self._order = np.argsort(keys, kind="stable")
+        self._keys = keys[self._order]
+
+    def near(self, low: Array, high: Array) -> npt.NDArray[np.int64]:
+        """Return the rows of all points in the columns that a box from ``low`` to ``high`` (3,) meets."""
+        (y, z), (last_y, last_z) = np.clip(self._cells(np.array([low, high])[:, 1:]), 0, self._last)
+        starts = np.arange(y, last_y + 1) * (self._last[1] + 1)
+        firsts = np.searchsorted(self._keys, starts + z)
+        ends = np.searchsorted(self._keys, starts + last_z, "right")
+        return np.concatenate([self._order[first:end] for first, end in zip(firsts, ends, strict=True)])
+
+    def _cells(self, points: Array) -> npt.NDArray[np.int64]:
+        """Return the columns (n, 2) of points (n, 2) along the row and up."""
+        return np.floor((points - self._first) / _COLUMN).astype(np.int64)
 
 
 def _bounds(shape: Shape, margin: float) -> tuple[Array, Array]:
