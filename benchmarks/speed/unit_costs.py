@@ -1,9 +1,9 @@
-"""Measure the cost of single pieces of work, on which the estimate of docs/how-to/cluster.md is based.
+"""Measure the cost of single pieces of work, on which the estimate in docs/results/speed.md is based.
 
 python -m benchmarks.speed.unit_costs --recordings own-cherry-2018-w09
 
 Seconds are processor time of this process and the planning process. ``--recordings`` also builds the scenes of some
-recordings of the shipped bank. Takes 2 minutes, and 2 to 5 for each recording.
+recordings of the shipped bank. Takes a minute, and another one for each recording.
 """
 
 from __future__ import annotations
