@@ -10,7 +10,7 @@ import pytest
 
 from greenhouse_gym.envs import GreenhouseVectorEnv, compliant_physics, make_env
 from greenhouse_gym.envs.compliant_simulation import CompliantSimulation
-from greenhouse_gym.envs.contacts import LEAF
+from greenhouse_gym.envs.contacts import CONTACT_GROUPS, LEAF
 from greenhouse_gym.envs.randomization import Randomization
 from greenhouse_gym.scene import SceneBank
 from greenhouse_gym.scene.geom_order import first_world_geom
@@ -79,7 +79,15 @@ def rollout(count: int, steps: int) -> tuple[np.ndarray, ...]:
         action = rng.uniform(-1, 1, (count, 7)).astype(np.float32)
         action[:, 0] += 0.8 if k % 30 < 20 else -0.8
         observation, reward, terminated, truncated, info = env.step(action)
-        rows.append([observation, reward, terminated, truncated, info["contacts"]])
+        rows.append(
+            [
+                observation,
+                reward,
+                terminated,
+                truncated,
+                np.column_stack([info["contacts"][group] for group in CONTACT_GROUPS]),
+            ]
+        )
     states = [np.concatenate([live(env, i).data.qpos, live(env, i).data.qvel]) for i in range(count)]
     return *(np.array(column) for column in zip(*rows, strict=True)), np.array(states)
 
