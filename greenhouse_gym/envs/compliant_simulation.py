@@ -35,7 +35,7 @@ class ArmContacts(NamedTuple):
     ending: Contact | None = None
     pressed: dict[int, float] = {}  # noqa: RUF012  never changed
 
-    def __add__(self, later: ArmContacts) -> ArmContacts:  # type: ignore[override]
+    def then(self, later: ArmContacts) -> ArmContacts:
         """Return the contacts of this and of a later physics step."""
         return ArmContacts(
             self.counts + later.counts, self.leaf_steps + later.leaf_steps, self.ending or later.ending, later.pressed
@@ -92,7 +92,7 @@ class CompliantSimulation(NamedTuple):
             if self.is_busy:
                 now = self.arm_contacts(ends)
                 self.plants.after_step(now.pressed)
-                contacts = now if contacts is None else contacts + now
+                contacts = now if contacts is None else contacts.then(now)
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_comPos(self.model, self.data)
         return contacts

@@ -18,7 +18,7 @@ from greenhouse_gym.errors import InvalidValueError, NoPlacementError, Reconstru
 from greenhouse_gym.planning import planner_run
 from greenhouse_gym.planning.certify import certify_target
 from greenhouse_gym.robots import get_robot
-from greenhouse_gym.scene import Provenance, SceneBank, compile_scene
+from greenhouse_gym.scene import Provenance, Scene, SceneBank, compile_scene
 from greenhouse_gym.scene.bank import write_bank
 from greenhouse_gym.scene.manifest import SPLITS
 from greenhouse_gym.scene.truth import start_is_collision_free
@@ -187,22 +187,35 @@ def test_shipped_arms_begin_in_no_true_plants() -> None:
     assert not [scene.name for scene in SceneBank.open("default") if not start_is_collision_free(scene, "ur5e")]
 
 
+@pytest.fixture(scope="module")
+def built_twice(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Scene, Scene]]:
+    """Scenes of a recording as built now and as shipped."""
+    recording = next(shipped.row_recordings())
+    made = SceneBank.open(build_part(recording, tmp_path_factory.mktemp("again"), shipped.DESCRIPTION))
+    bank = SceneBank.open("default")
+    assert made.names() == [name for name in bank.names() if name.startswith(f"{recording.name}-")]
+    return [(made.scene(name), bank.scene(name)) for name in made.names()]
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
-def test_a_shipped_recording_is_built_again(tmp_path: Path) -> None:
-    recording = next(shipped.row_recordings())
-    made, bank = SceneBank.open(build_part(recording, tmp_path, shipped.DESCRIPTION)), SceneBank.open("default")
-    assert made.names() == [name for name in bank.names() if name.startswith(f"{recording.name}-")]
-    # on another kind of processor, sums round differently in places: fruit move by tenths of a millimetre, stems and
-    # clutter are divided elsewhere, and one shape of twenty comes or goes
+@pytest.mark.xfail(reason="on another kind of processor than the bank was built on, sums round differently in places")
+def test_a_shipped_recording_is_built_again(built_twice: list[tuple[Scene, Scene]]) -> None:
+    for made, expected in built_twice:
+        assert made.model_dump_json() == expected.model_dump_json(), made.name
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+def test_a_shipped_recording_is_built_again_on_any_processor(built_twice: list[tuple[Scene, Scene]]) -> None:
+    # fruit move by tenths of a millimetre, stems and clutter are divided elsewhere, one shape of twenty comes or goes
     t = np.linspace(0, 1, 101)[:, None, None]
-    for name in made.names():
-        scenes = [one.scene(name) for one in (made, bank)]
-        assert scenes[0].placement.model_dump() == scenes[1].placement.model_dump(), name
+    for scenes in built_twice:
+        assert scenes[0].placement.model_dump() == scenes[1].placement.model_dump(), scenes[0].name
         axes = [scene.arrays.starts + t * (scene.arrays.ends - scene.arrays.starts) for scene in scenes]
         for k, tolerance in enumerate((1e-3, 3e-3, 0.05)):
             first, last = (np.array([sum(scene.counts[:m]) for scene in scenes]) for m in (k, k + 1))
             found, expected = (points[:, a:b] for points, a, b in zip(axes, first, last, strict=True))
-            assert abs(found.shape[1] - expected.shape[1]) <= 1 + 0.05 * expected.shape[1], (name, k)
+            assert abs(found.shape[1] - expected.shape[1]) <= 1 + 0.05 * expected.shape[1], (scenes[0].name, k)
             gaps = cKDTree(expected.reshape(-1, 3)).query(found.reshape(-1, 3))[0]
-            assert np.mean(gaps < tolerance) > 0.95, (name, k, np.quantile(gaps, [0.5, 0.9, 0.95]))
+            assert np.mean(gaps < tolerance) > 0.95, (scenes[0].name, k, np.quantile(gaps, [0.5, 0.9, 0.95]))

@@ -67,8 +67,15 @@ def test_the_reward_is_the_one_of_the_settings(settings: PpoSettings, tmp_path: 
 
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
-def test_ppo_learns_from_nothing_with_its_usual_settings(tmp_path: Path) -> None:
-    train_ppo(PpoSettings(bank="mini", difficulty=("easy",), total_steps=1_000_000, threads=1), tmp_path)
+@pytest.mark.parametrize(
+    "options",
+    [
+        pytest.param({}, marks=pytest.mark.xfail(reason="22.8 % of all targets of the present small bank"), id="all"),
+        pytest.param({"difficulty": ("easy",)}, id="easy"),
+    ],
+)
+def test_ppo_learns_from_nothing_with_its_usual_settings(options: dict[str, Any], tmp_path: Path) -> None:
+    train_ppo(PpoSettings(bank="mini", total_steps=1_000_000, threads=1, **options), tmp_path)
     rows = list(csv.DictReader((tmp_path / "curve.csv").read_text().splitlines()))
     assert float(rows[3]["success_rate"]) < 0.1
     assert float(rows[-1]["success_rate"]) > 0.3

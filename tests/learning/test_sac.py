@@ -190,12 +190,30 @@ def distance(model: Any, memory: Any) -> float:
         return float(((model.actor(seen, deterministic=True) - model.demonstrator.actions(seen)) ** 2).mean())
 
 
+@pytest.fixture(scope="module")
+def curve(tmp_path_factory: pytest.TempPathFactory) -> list[Validation]:
+    """Validations after each 20,000 of 60,000 steps: some eight minutes of one core."""
+    found: list[Validation] = []
+    settings = SacSettings(threads=1, total_steps=60_000, validation_episodes=128)
+    train_sac(settings, tmp_path_factory.mktemp("sac"), on_progress=found.append)
+    return found
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
-def test_it_learns_to_reach_without_touching(tmp_path: Path) -> None:
-    """Eight minutes of one core. Of other rows than the few of the small bank it learns next to nothing."""
-    curve: list[Validation] = []
-    train_sac(SacSettings(threads=1, total_steps=60_000, validation_episodes=128), tmp_path, on_progress=curve.append)
-    first, *_, last = curve
-    assert last.results["train"].success_rate > max(first.results["train"].success_rate, 0.2)
+@pytest.mark.xfail(reason="after 40,000 steps 11 % of the rows that it trains on, 0 % of the others in the small bank")
+def test_it_learns_to_reach_without_touching(curve: list[Validation]) -> None:
+    """Random actions reach 0 % (and collide seldom, for they hardly get anywhere)."""
+    first, last = curve[:2]
+    for split, before in first.results.items():
+        after = last.results[split]
+        assert after.success_rate > max(before.success_rate, 0.05)
     assert last.results["train"].collision_rate < first.results["train"].collision_rate
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+def test_it_learns_to_reach_in_the_rows_that_it_trains_on(curve: list[Validation]) -> None:
+    before, after = curve[0].results["train"], curve[-1].results["train"]
+    assert after.success_rate > max(before.success_rate, 0.2)
+    assert after.collision_rate < before.collision_rate
