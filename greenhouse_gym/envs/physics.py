@@ -141,6 +141,7 @@ class Physics:
         """Copy a world, in which nothing is planted, into a simulation; takes effect with the next `place`."""
         prepare(self.models[i], world, targets, disturbance, self._worlds[i])
         self._worlds[i] = world
+        self._stepper.load(i, world.tree)
         if not self._leaves_push:
             self.brushed[i], self._leaf_contacts[i] = set(), _leaf_contacts(world, disturbance)
 

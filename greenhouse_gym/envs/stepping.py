@@ -17,15 +17,18 @@ import numpy as np
 import numpy.typing as npt
 from mujoco.batch import Batch
 
+from greenhouse_gym.envs.hidden_worlds import HiddenWorlds, beyond, foreseen
 from greenhouse_gym.envs.state import Bools, Ids
 from greenhouse_gym.errors import GreenhouseError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.scene.geom_order import ShortGeomLists
+from greenhouse_gym.scene.packed_tree import PackedTree
 
 _VELOCITIES = mujoco.mjtStage.mjSTAGE_VEL
 _LARGEST_FORCE = 2  # of the ways to reduce the contacts of a sensor to one
 _STATE = ("time", "qpos", "qvel", "act", "ctrl", "qacc_warmstart", "history")
 _CHUNK = 32
+_RECORDED = "{} recorded"
 
 
 class ForkedError(GreenhouseError, RuntimeError):
@@ -36,10 +39,14 @@ def drive_and_record(spec: mujoco.MjSpec, substeps: int, forces: bool = False) -
     """Prepare the servos and a contact sensor of an arm for the steppers.
 
     The position servos follow the integral of their controls: ``act`` is the commanded position (rad) and ``ctrl`` its
-    speed (rad/s). A sensor counts all contacts, and its history holds the last ``substeps`` counts, each with the
+    speed (rad/s). Sensors record the last ``substeps`` positions of the joints. Another counts all contacts, and its history holds the last ``substeps`` counts, each with the
     largest force (3,) of a contact (N, along its normal first) if ``forces`` is true.
     """
-    for servo in spec.actuators:
+    for servo in list(spec.actuators):
+        name, kind = _RECORDED.format(servo.target), mujoco.mjtSensor.mjSENS_JOINTPOS
+        spec.add_sensor(
+            name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_JOINT, objname=servo.target, nsample=substeps
+        )
         servo.dyntype, servo.actearly, servo.ctrllimited = mujoco.mjtDyn.mjDYN_INTEGRATOR, True, False
     sensor = spec.add_sensor(name="contacts", type=mujoco.mjtSensor.mjSENS_CONTACT, nsample=substeps)
     fields = [mujoco.mjtConDataField.mjCONDATA_FOUND, *([mujoco.mjtConDataField.mjCONDATA_FORCE] if forces else [])]
@@ -50,6 +57,14 @@ def _records(history: Array, substeps: int, model: mujoco.MjModel) -> Array:
     """Return a view (n, substeps, 1 or 4) of the contact sensor's records at the end of a history (n, k)."""
     width = int(model.sensor("contacts").dim[0])
     return history[:, -width * substeps :].reshape(-1, substeps, width)
+
+
+def _recorded_joints(history: Array, substeps: int, model: mujoco.MjModel) -> Array:
+    """Return a view (n, j, substeps) of the joint positions recorded before each physics step in a history (n, k)."""
+    count = model.nu
+    first = int(model.sensor_historyadr[model.sensor(_RECORDED.format(model.joint(0).name)).id])
+    size = 2 + 2 * substeps  # two numbers and the times come before the values
+    return history[:, first : first + count * size].reshape(-1, count, size)[..., -substeps:]
 
 
 _ROWS = ("nefc", "ne", "nf", "nl")  # all rows of constraints, and those that are no contacts
@@ -90,6 +105,9 @@ class Stepper(Protocol):
     xanchor: Array
     xaxis: Array
 
+    def load(self, i: int, tree: PackedTree) -> None:
+        """Search another tree for what an arm can reach, since its model has another world."""
+
     def place(self, ids: Ids, configurations: Array) -> Bools:
         """Place some arms, whose models may have been edited, at rest and return which have contacts."""
 
@@ -127,6 +145,9 @@ class OneStepper:
         twin = OneStepper(copy.deepcopy(self._model, memo), self._substeps)
         mujoco.mj_copyData(twin._data, twin._model, self._data)
         return twin
+
+    def load(self, i: int, tree: PackedTree) -> None:
+        """See `Stepper.load`; a single simulation hides nothing."""
 
     def place(self, ids: Ids, configurations: Array) -> Bools:
         """See `Stepper.place`."""
@@ -175,23 +196,34 @@ class ManyStepper:
         self.xanchor, self.xaxis = batch.bind("xanchor"), batch.bind("xaxis")
         self._records, self._ncon = _records(batch.bind("history"), substeps, models[0]), batch.bind("ncon")
         self._rows = [batch.bind(name) for name in _ROWS] if self._records.shape[2] > 1 else []
-        self._listed = ShortGeomLists(models)
+        self._joints = _recorded_joints(batch.bind("history"), substeps, models[0])
+        self._listed, self._hidden = ShortGeomLists(models), HiddenWorlds(models, models[0].nu)
+        frames = self._hidden.frames
+        self._bodies = batch.bind("xpos")[:, frames], batch.bind("xmat")[:, frames]
+        self._time, self._interval = batch.bind("time"), substeps * models[0].opt.timestep
         size = _CHUNK * batch.nthread
         starts = range(0, count, size)
         self._chunks = [np.arange(i, min(i + size, count), dtype=np.int32) for i in starts] if count > size else [None]
 
     def __deepcopy__(self, memo: dict[int, Any]) -> ManyStepper:
         self._check_process()
+        self._hidden.show(np.arange(len(self._models)))
         twin = ManyStepper(copy.deepcopy(self._models, memo), self._threads, self._substeps)
         twin._batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)  # poses of static bodies
         for name in _STATE:
             twin._batch.bind(name)[:] = self._batch.bind(name)
         twin._batch.forward(stage=_VELOCITIES)
+        twin._hidden.load_all(self._hidden)
         return twin
+
+    def load(self, i: int, tree: PackedTree) -> None:
+        """See `Stepper.load`."""
+        self._hidden.load(i, tree)
 
     def place(self, ids: Ids, configurations: Array) -> Bools:
         """See `Stepper.place`."""
         self._check_process()
+        self._hidden.show(ids)
         # edited models need not be set again, because their simulations are reset here
         self._batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE)
         self.qpos[ids], self.command[ids] = configurations, configurations
@@ -201,10 +233,24 @@ class ManyStepper:
     def run(self) -> Bools:
         """See `Stepper.run`."""
         self._check_process()
+        start = [array.copy() for array in (self._time, self.qpos, self.qvel, self.command, self.warmstart)]
+        turns = foreseen(self.qpos, self.command, self.speed, self._interval)
+        self._hidden.hide(*self._bodies, self.xanchor, turns)
         with self._listed:
             for ids in self._chunks:
                 self._batch.step(ids, nstep=self._substeps, stage=_VELOCITIES)
+            late = np.flatnonzero(beyond(self._joints, self.qpos, start[1], turns)).astype(np.int32)
+            if len(late):
+                self._repeat(late, start)
         return self._records[..., 0].any(axis=1) | (self._ncon > 0)
+
+    def _repeat(self, ids: Ids, start: Sequence[Array]) -> None:
+        """Repeat the last action of some simulations with their whole worlds."""
+        self._hidden.show(ids)
+        for array, before in zip((self._time, self.qpos, self.qvel, self.command, self.warmstart), start, strict=True):
+            array[ids] = before[ids]
+        self._batch.forward(ids, stage=_VELOCITIES)
+        self._batch.step(ids, nstep=self._substeps, stage=_VELOCITIES)
 
     def found(self) -> npt.NDArray[np.int64]:
         """See `Stepper.found`."""

@@ -17,6 +17,7 @@ from greenhouse_gym.motion.roadmap import SceneRoadmaps
 from greenhouse_gym.scene import CompiledScene, Scene, SceneBank, compile_scene
 from greenhouse_gym.scene.geom_order import first_world_geom
 from greenhouse_gym.scene.mjcf import DEFAULT_CAPACITY, MAX_CAPACITY
+from greenhouse_gym.scene.packed_tree import PackedTree, packed_tree
 from greenhouse_gym.scene.plants.filled import FilledBodies
 from greenhouse_gym.scene.plants.layout import Layout, SlotIds
 from greenhouse_gym.scene.plants.topology import Topology, topology_of
@@ -145,6 +146,11 @@ class World:
     def used(self) -> int:
         """Number of world geoms before the parked ones, which are the same in all worlds."""
         return int(self.compiled.obstacle_geoms.start) + self.compiled.scene.count
+
+    @cached_property
+    def tree(self) -> PackedTree:
+        """Tree of boxes around all that the arm can touch."""
+        return packed_tree(self.compiled.model, self.used)
 
     @cached_property
     def groups(self) -> Groups:

@@ -8,13 +8,13 @@ these have no masks meanwhile. Results stay equal bit for bit.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import mujoco
 import numpy as np
 import numpy.typing as npt
 
 from greenhouse_gym.geometry import Array
+from greenhouse_gym.scene.arm_spheres import arm_spheres
 from greenhouse_gym.scene.plants.layout import SlotIds
 
 _GAP = 1e-3  # metres: for rounding
@@ -44,7 +44,7 @@ class Organs:
         self.boxes = np.empty((2, len(self._bodies), 3))
         # views, which take a while to make
         self._qpos, self.anchors = data.qpos[:joints], data.xanchor[:joints]
-        self.positions, self.rotations = data.geom_xpos[self.arm.own], data.geom_xmat[self.arm.own]
+        self.positions, self.rotations = data.xpos[self.arm.frames], data.xmat[self.arm.frames]
         self._masks = model.body_conaffinity
         self.refresh()
 
@@ -94,53 +94,6 @@ def hide_out_of_reach(chosen: Sequence[Organs], turns: Array) -> None:
     positions, rotations, anchors, boxes = (
         np.array([getattr(one, name) for one in chosen]) for name in ("positions", "rotations", "anchors", "boxes")
     )
-    mark_far(positions, rotations, arm.geoms, arm.offsets, arm.radii, arm.levers, anchors, allowed, boxes, far)
+    mark_far(positions, rotations, *arm[:5], anchors, allowed, boxes, far)
     for one, beyond, each in zip(chosen, far, allowed.tolist(), strict=True):
         one.hide(beyond, each)
-
-
-class ArmSpheres(NamedTuple):
-    """Spheres that together hold all that moves with an arm.
-
-    Attributes:
-        own: The geoms of the arm.
-        geoms: (n,) geom in each sphere, among these.
-        offsets: (n,) offsets of their middles along the z axes of their geoms, metres.
-        radii: (n,) radii, metres.
-        levers: (n, joints) maximum motion of their middles with each joint, metres per radian or metre.
-    """
-
-    own: slice
-    geoms: npt.NDArray[np.int64]
-    offsets: Array
-    radii: Array
-    levers: Array
-
-
-def arm_spheres(model: mujoco.MjModel, joints: int) -> ArmSpheres:
-    """Return spheres around all that moves with an arm; a capsule gets three."""
-    moving = np.flatnonzero(model.body_treeid[model.geom_bodyid] == model.body_treeid[model.jnt_bodyid[0]])
-    spheres, levers = [], []
-    for geom in moving.tolist():
-        radius, thirds = float(model.geom_rbound[geom]), [0.0]
-        if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_CAPSULE:
-            third = float(model.geom_size[geom, 1]) / 3
-            radius, thirds = float(model.geom_size[geom, 0]) + third, [-2 * third, 0.0, 2 * third]
-        for offset in thirds:
-            spheres.append((geom - moving[0], offset, radius + float(model.geom_margin[geom])))
-            levers.append(_levers(model, joints, geom, abs(offset)))
-    geoms, offsets, radii = (np.array(column) for column in zip(*spheres, strict=True))
-    return ArmSpheres(slice(int(moving[0]), int(moving[-1]) + 1), geoms, offsets, radii, np.array(levers))
-
-
-def _levers(model: mujoco.MjModel, joints: int, geom: int, offset: float) -> Array:
-    """Return the maximum motion (joints,) of a point at an offset from the middle of a geom, in any configuration."""
-    levers, body = np.zeros(joints), int(model.geom_bodyid[geom])
-    reach = float(np.linalg.norm(model.geom_pos[geom])) + offset
-    while body:
-        for joint in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
-            slides = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE
-            levers[joint] = 1.0 if slides else reach + float(np.linalg.norm(model.jnt_pos[joint]))
-        reach += float(np.linalg.norm(model.body_pos[body]))
-        body = int(model.body_parentid[body])
-    return levers
