@@ -30,6 +30,7 @@ from greenhouse_gym.scene.plants.out_of_reach import Organs, hide_out_of_reach
 from greenhouse_gym.scene.plants.row import RowPlants
 from greenhouse_gym.scene.plants.slots import Planted, plant
 from greenhouse_gym.scene.plants.states import Felt
+from greenhouse_gym.scene.world_tree import copy_whole_tree
 
 _NOTHING_FELT = Felt(np.zeros(3))
 
@@ -102,11 +103,12 @@ class CompliantPhysics:
             model = copy.copy(source)
             model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_SLEEP)
             put_arm_first(model)
+            world.tree.load(model)
             data = mujoco.MjData(model)
         else:
             model, data = old.model, old.data
-            world.load(model, (), old.world)
             copy_bodies(source, model)
+            world.load(model, old.world)
         plant(model, planted, self._layout, self._scratch)
         groups = np.roll(world.groups, first_world_geom(model))
         if disturbance.shift.any() or disturbance.yaw:
@@ -207,6 +209,7 @@ class CompliantPhysics:
         sim = self.simulation(i)
         model = copy.copy(sim.model)
         put_world_first(model)
+        copy_whole_tree(sim.world.compiled.model, model)
         model.opt.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)
         data = mujoco.MjData(model)
         for name in ("time", "qpos", "qvel", "act", "ctrl", "eq_active", "qacc_warmstart"):

@@ -139,9 +139,12 @@ class Physics:
         self, i: int, world: World, targets: Sequence[int], disturbance: Disturbance, planted: Planted | None = None
     ) -> None:
         """Copy a world, in which nothing is planted, into a simulation; takes effect with the next `place`."""
-        prepare(self.models[i], world, targets, disturbance, self._worlds[i])
+        model = self.models[i]
+        world.load(model, self._worlds[i])
+        _begin(model, world, targets, disturbance)
         self._worlds[i] = world
-        self._stepper.load(i, world.tree)
+        self._stepper.load(i, world.tree.reach)
+        self._stepper.listed.load(i, world.used)
         if not self._leaves_push:
             self.brushed[i], self._leaf_contacts[i] = set(), _leaf_contacts(world, disturbance)
 
@@ -194,7 +197,7 @@ class Physics:
         """Return a copy of the compiled model of a simulation, prepared for an episode, and its state."""
         world, stepper = self._worlds[i], self._stepper
         model = copy.copy(world.compiled.model)
-        prepare(model, world, targets, disturbance)
+        _begin(model, world, targets, disturbance)
         data = mujoco.MjData(model)
         data.qpos[:], data.qvel[:], data.act[:] = stepper.qpos[i], stepper.qvel[i], stepper.command[i]
         mujoco.mj_forward(model, data)
@@ -223,11 +226,13 @@ class Physics:
         Contacts are counted after each physics step until one ends the episode. Those at the start belong to the action
         before, so they count only if one of them ends the episode or there is no physics step.
         """
-        model, data = self.models[i], self._data
-        mujoco.mj_resetData(model, data)
+        model, data, listed = self.models[i], self._data, self._stepper.listed
+        with listed.unparked([i]):
+            mujoco.mj_resetData(model, data)
         data.qpos[:], data.qvel[:], data.qacc_warmstart[:], data.act[:] = start
         data.ctrl[:] = self._stepper.speed[i]
-        mujoco.mj_step1(model, data)
+        with listed.short(i):
+            mujoco.mj_step1(model, data)
         counts, ending = self._present(i)
         if ending is None and substeps:
             counts = np.zeros_like(counts)
@@ -235,8 +240,9 @@ class Physics:
         for _ in range(substeps):
             if ending is not None:
                 break
-            mujoco.mj_step2(model, data)
-            mujoco.mj_step1(model, data)
+            with listed.short(i):
+                mujoco.mj_step2(model, data)
+                mujoco.mj_step1(model, data)
             if data.ncon:
                 present, ending = self._present(i)
                 counts += present
@@ -263,6 +269,13 @@ class Physics:
         return Contact(names, self_collision=bool(model.geom_bodyid[geoms[1]] > 0))
 
 
+def _begin(model: mujoco.MjModel, world: World, targets: Sequence[int], disturbance: Disturbance) -> None:
+    """Let the cup touch the targets in a model that holds a world, and displace the arm's base."""
+    world.allow_cup_on(model, targets)
+    if disturbance.shift.any() or disturbance.yaw:
+        displace_base(model, world.frame[3:], disturbance.shift, disturbance.yaw)
+
+
 def _leaf_contacts(world: World, disturbance: Disturbance) -> LeafContacts:
     """Return the finder of touched leaves of an episode."""
     if not (disturbance.shift.any() or disturbance.yaw):
@@ -270,20 +283,3 @@ def _leaf_contacts(world: World, disturbance: Disturbance) -> LeafContacts:
     model = copy.copy(world.compiled.model)
     displace_base(model, world.frame[3:], disturbance.shift, disturbance.yaw)
     return LeafContacts(world.compiled, model)
-
-
-def prepare(
-    model: mujoco.MjModel, world: World, targets: Sequence[int], disturbance: Disturbance, last: World | None = None
-) -> None:
-    """Copy a world into a model, let the cup touch the targets, and displace the arm's base.
-
-    Args:
-        model: The model.
-        world: The world.
-        targets: Indices of the tomatoes that the cup may touch.
-        disturbance: The episode's disturbance.
-        last: World that the model holds; what both share is not copied.
-    """
-    world.load(model, targets, last)
-    if disturbance.shift.any() or disturbance.yaw:
-        displace_base(model, world.frame[3:], disturbance.shift, disturbance.yaw)

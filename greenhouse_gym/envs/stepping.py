@@ -22,7 +22,7 @@ from greenhouse_gym.envs.state import Bools, Ids
 from greenhouse_gym.errors import GreenhouseError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.scene.geom_order import ShortGeomLists
-from greenhouse_gym.scene.packed_tree import PackedTree
+from greenhouse_gym.scene.world_tree import BoxTree
 
 _VELOCITIES = mujoco.mjtStage.mjSTAGE_VEL
 _LARGEST_FORCE = 2  # of the ways to reduce the contacts of a sensor to one
@@ -36,17 +36,16 @@ class ForkedError(GreenhouseError, RuntimeError):
 
 
 def drive_and_record(spec: mujoco.MjSpec, substeps: int, forces: bool = False) -> None:
-    """Prepare the servos and a contact sensor of an arm for the steppers.
+    """Prepare the servos and sensors of an arm for the steppers.
 
     The position servos follow the integral of their controls: ``act`` is the commanded position (rad) and ``ctrl`` its
-    speed (rad/s). Sensors record the last ``substeps`` positions of the joints. Another counts all contacts, and its history holds the last ``substeps`` counts, each with the
-    largest force (3,) of a contact (N, along its normal first) if ``forces`` is true.
+    speed (rad/s). Sensors keep what they measured before each of the last ``substeps`` physics steps: one for each
+    joint its position, and one the number of all contacts, with the largest force (3,) of one (N, along its normal
+    first) if ``forces`` is true.
     """
     for servo in list(spec.actuators):
         name, kind = _RECORDED.format(servo.target), mujoco.mjtSensor.mjSENS_JOINTPOS
-        spec.add_sensor(
-            name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_JOINT, objname=servo.target, nsample=substeps
-        )
+        spec.add_sensor(name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_JOINT, objname=servo.target, nsample=substeps)
         servo.dyntype, servo.actearly, servo.ctrllimited = mujoco.mjtDyn.mjDYN_INTEGRATOR, True, False
     sensor = spec.add_sensor(name="contacts", type=mujoco.mjtSensor.mjSENS_CONTACT, nsample=substeps)
     fields = [mujoco.mjtConDataField.mjCONDATA_FOUND, *([mujoco.mjtConDataField.mjCONDATA_FORCE] if forces else [])]
@@ -93,6 +92,7 @@ class Stepper(Protocol):
         site_xmat: (n, sites, 9) rotations of the sites.
         xanchor: (n, j, 3) points on the joint axes, metres.
         xaxis: (n, j, 3) unit vectors along the joint axes.
+        listed: Lists of the geoms of the models.
     """
 
     qpos: Array
@@ -104,9 +104,10 @@ class Stepper(Protocol):
     site_xmat: Array
     xanchor: Array
     xaxis: Array
+    listed: ShortGeomLists
 
-    def load(self, i: int, tree: PackedTree) -> None:
-        """Search another tree for what an arm can reach, since its model has another world."""
+    def load(self, i: int, tree: BoxTree) -> None:
+        """Take note of the boxes around all that the arm can touch in another world that a model holds."""
 
     def place(self, ids: Ids, configurations: Array) -> Bools:
         """Place some arms, whose models may have been edited, at rest and return which have contacts."""
@@ -139,27 +140,29 @@ class OneStepper:
         self.command, self.speed = data.act[None], data.ctrl[None]
         self.site_xpos, self.site_xmat = data.site_xpos[None], data.site_xmat[None]
         self.xanchor, self.xaxis = data.xanchor[None], data.xaxis[None]
-        self._records, self._listed = _records(data.history[None], substeps, model), ShortGeomLists([model])
+        self._records, self.listed = _records(data.history[None], substeps, model), ShortGeomLists([model])
 
     def __deepcopy__(self, memo: dict[int, Any]) -> OneStepper:
         twin = OneStepper(copy.deepcopy(self._model, memo), self._substeps)
         mujoco.mj_copyData(twin._data, twin._model, self._data)
+        twin.listed.load_all(self.listed)
         return twin
 
-    def load(self, i: int, tree: PackedTree) -> None:
+    def load(self, i: int, tree: BoxTree) -> None:
         """See `Stepper.load`; a single simulation hides nothing."""
 
     def place(self, ids: Ids, configurations: Array) -> Bools:
         """See `Stepper.place`."""
-        mujoco.mj_resetData(self._model, self._data)
-        self.qpos[:], self.command[:] = configurations, configurations
-        mujoco.mj_step1(self._model, self._data)
+        with self.listed.unparked(ids.tolist()):
+            mujoco.mj_resetData(self._model, self._data)
+            self.qpos[:], self.command[:] = configurations, configurations
+            mujoco.mj_step1(self._model, self._data)
         return np.array([self._data.ncon > 0])
 
     def run(self) -> Bools:
         """See `Stepper.run`."""
         model, data = self._model, self._data
-        with self._listed:
+        with self.listed:
             mujoco.mj_step2(model, data)
             mujoco.mj_step(model, data, self._substeps - 1)
             mujoco.mj_step1(model, data)
@@ -197,7 +200,7 @@ class ManyStepper:
         self._records, self._ncon = _records(batch.bind("history"), substeps, models[0]), batch.bind("ncon")
         self._rows = [batch.bind(name) for name in _ROWS] if self._records.shape[2] > 1 else []
         self._joints = _recorded_joints(batch.bind("history"), substeps, models[0])
-        self._listed, self._hidden = ShortGeomLists(models), HiddenWorlds(models, models[0].nu)
+        self.listed, self._hidden = ShortGeomLists(models), HiddenWorlds(models, models[0].nu)
         frames = self._hidden.frames
         self._bodies = batch.bind("xpos")[:, frames], batch.bind("xmat")[:, frames]
         self._time, self._interval = batch.bind("time"), substeps * models[0].opt.timestep
@@ -207,16 +210,16 @@ class ManyStepper:
 
     def __deepcopy__(self, memo: dict[int, Any]) -> ManyStepper:
         self._check_process()
-        self._hidden.show(np.arange(len(self._models)))
         twin = ManyStepper(copy.deepcopy(self._models, memo), self._threads, self._substeps)
+        twin._hidden = self._hidden.copied(twin._models)
         twin._batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)  # poses of static bodies
         for name in _STATE:
             twin._batch.bind(name)[:] = self._batch.bind(name)
         twin._batch.forward(stage=_VELOCITIES)
-        twin._hidden.load_all(self._hidden)
+        twin.listed.load_all(self.listed)
         return twin
 
-    def load(self, i: int, tree: PackedTree) -> None:
+    def load(self, i: int, tree: BoxTree) -> None:
         """See `Stepper.load`."""
         self._hidden.load(i, tree)
 
@@ -225,9 +228,10 @@ class ManyStepper:
         self._check_process()
         self._hidden.show(ids)
         # edited models need not be set again, because their simulations are reset here
-        self._batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE)
-        self.qpos[ids], self.command[ids] = configurations, configurations
-        self._batch.forward(ids, stage=_VELOCITIES)
+        with self.listed.unparked(ids.tolist()):
+            self._batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE)
+            self.qpos[ids], self.command[ids] = configurations, configurations
+            self._batch.forward(ids, stage=_VELOCITIES)
         return np.asarray(self._ncon[ids] > 0)
 
     def run(self) -> Bools:
@@ -236,10 +240,10 @@ class ManyStepper:
         start = [array.copy() for array in (self._time, self.qpos, self.qvel, self.command, self.warmstart)]
         turns = foreseen(self.qpos, self.command, self.speed, self._interval)
         self._hidden.hide(*self._bodies, self.xanchor, turns)
-        with self._listed:
+        with self.listed:
             for ids in self._chunks:
                 self._batch.step(ids, nstep=self._substeps, stage=_VELOCITIES)
-            late = np.flatnonzero(beyond(self._joints, self.qpos, start[1], turns)).astype(np.int32)
+            late = np.flatnonzero(beyond(self._joints, self.qpos, start[1], turns))
             if len(late):
                 self._repeat(late, start)
         return self._records[..., 0].any(axis=1) | (self._ncon > 0)

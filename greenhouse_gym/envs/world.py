@@ -17,11 +17,11 @@ from greenhouse_gym.motion.roadmap import SceneRoadmaps
 from greenhouse_gym.scene import CompiledScene, Scene, SceneBank, compile_scene
 from greenhouse_gym.scene.geom_order import first_world_geom
 from greenhouse_gym.scene.mjcf import DEFAULT_CAPACITY, MAX_CAPACITY
-from greenhouse_gym.scene.packed_tree import PackedTree, packed_tree
 from greenhouse_gym.scene.plants.filled import FilledBodies
 from greenhouse_gym.scene.plants.layout import Layout, SlotIds
 from greenhouse_gym.scene.plants.topology import Topology, topology_of
 from greenhouse_gym.scene.truth import known_scene, own_start
+from greenhouse_gym.scene.world_tree import WorldTree, world_tree
 
 _ROUND = 100
 
@@ -29,10 +29,7 @@ _GEOM_FIELDS = (
     "geom_type", "geom_contype", "geom_conaffinity", "geom_size", "geom_pos", "geom_quat", "geom_aabb", "geom_rbound",
     "geom_sameframe", "geom_rgba", "geom_margin", "geom_gap",
 )  # fmt: skip
-_SCENE_FIELDS = (
-    # the bounding-volume tree belongs to the geoms: with a stale tree MuJoCo misses contacts
-    "body_pos", "body_quat", "body_sameframe", "bvh_depth", "bvh_child", "bvh_aabb",
-)  # fmt: skip
+_SCENE_FIELDS = ("body_pos", "body_quat", "body_sameframe")
 
 
 def capacity_of(bank: SceneBank, physics: str) -> int:
@@ -148,34 +145,32 @@ class World:
         return int(self.compiled.obstacle_geoms.start) + self.compiled.scene.count
 
     @cached_property
-    def tree(self) -> PackedTree:
-        """Tree of boxes around all that the arm can touch."""
-        return packed_tree(self.compiled.model, self.used)
+    def tree(self) -> WorldTree:
+        """Tree over all geoms of the world that are not parked."""
+        return world_tree(self.compiled.model, self.used)
 
     @cached_property
     def groups(self) -> Groups:
         """(geoms,) contact groups of the compiled geoms, see `geom_groups`."""
         return geom_groups(self.compiled, None if self.layout is None else self.slots)
 
-    def load(self, model: mujoco.MjModel, targets: Sequence[int], last: World | None = None) -> None:
-        """Copy this world into a model and let the cup touch the targets.
+    def load(self, model: mujoco.MjModel, last: World) -> None:
+        """Copy this world into a model.
 
         Args:
             model: Compiled with the same robot and capacity; its geoms in either order (`put_arm_first`).
-            targets: Indices of the tomatoes that the cup may touch.
-            last: World that the model holds, if known; geoms that are parked in both are not copied.
+            last: World that the model holds; geoms that are parked in both are not copied.
         """
         source = self.compiled.model
-        first, count = first_world_geom(model), int(source.body_geomnum[0])
-        if last is not None:
-            count = max(self.used, last.used)
+        first, count = first_world_geom(model), max(self.used, last.used)
         for name in _GEOM_FIELDS:
             getattr(model, name)[first : first + count] = getattr(source, name)[:count]
         for name in _SCENE_FIELDS:
             getattr(model, name)[:] = getattr(source, name)
-        nodes = slice(source.body_bvhadr[0], source.body_bvhadr[0] + source.body_bvhnum[0])
-        ids = source.bvh_nodeid[nodes]
-        model.bvh_nodeid[nodes] = np.where(ids >= 0, ids + first, ids)
+        self.tree.load(model)  # it belongs to the geoms: with a stale tree MuJoCo misses contacts
+
+    def allow_cup_on(self, model: mujoco.MjModel, targets: Sequence[int]) -> None:
+        """Let the cup touch some tomatoes of the scene in a model that holds this world."""
         for target in targets:
             self.compiled.allow_cup_on(model, int(self.bodies[target]))
 

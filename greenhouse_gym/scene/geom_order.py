@@ -90,9 +90,10 @@ def compiled_geom_id(model: mujoco.MjModel, geom: int) -> int:
 
 
 class ShortGeomLists:
-    """Context in which models list few geoms.
+    """Lists of the geoms of n models, made short for a while.
 
-    Only stepping may happen inside: code that places or renders geoms needs all of them.
+    As a context, it lists few geoms of all models. Only stepping may happen inside: code that places or renders geoms
+    needs all of them.
 
     Args:
         models: Models of the same layout.
@@ -109,6 +110,15 @@ class ShortGeomLists:
         counts = [_geom_count(model) for model in models] if start else []
         self._counts = [count for count in counts if count is not None]
         self._moving = start
+        self._used = [world] * len(models)
+
+    def load(self, i: int, used: int) -> None:
+        """Take note of how many geoms of the world of a model come before the parked ones."""
+        self._used[i] = used
+
+    def load_all(self, other: ShortGeomLists) -> None:
+        """Take note of what another object knows of as many models."""
+        self._used = list(other._used)
 
     def __enter__(self) -> None:
         for world_count in self._world_counts:
@@ -121,6 +131,32 @@ class ShortGeomLists:
             world_count[0] = self._world
         for count in self._counts:
             count[0] = self._all
+
+    @contextmanager
+    def short(self, i: int) -> Iterator[None]:
+        """Context in which one model lists few geoms."""
+        self._set(i, self._listed, self._moving)
+        try:
+            yield
+        finally:
+            self._set(i, self._world, self._all)
+
+    @contextmanager
+    def unparked(self, ids: Sequence[int]) -> Iterator[None]:
+        """Context in which some models list no geoms that are parked; it may place geoms."""
+        for i in ids:
+            self._set(i, self._used[i], self._moving + self._used[i])
+        try:
+            yield
+        finally:
+            for i in ids:
+                self._set(i, self._world, self._all)
+
+    def _set(self, i: int, world: int, total: int) -> None:
+        """List so many geoms of the world and in total."""
+        self._world_counts[i][0] = world
+        if self._counts:
+            self._counts[i][0] = total
 
 
 def _with_all_bits(masks: npt.NDArray[np.int32]) -> int:

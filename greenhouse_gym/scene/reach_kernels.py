@@ -135,7 +135,15 @@ def mark_near(
     """Mark the bodies of each of n arms that can reach a leaf of a tree of boxes.
 
     Args:
-        positions, rotations, bodies, points, radii, levers, slides, anchors, turns: As in `mark_far`.
+        positions: (n, b, 3) positions of the bodies of the arms, metres.
+        rotations: (n, b, 9) their rotations.
+        bodies: (s,) the body of each of s spheres.
+        points: (s, 3) middles of the spheres in the frames of these bodies, metres.
+        radii: (s,) radii of the spheres, metres.
+        levers: (s, j) maximum motion of the middles with each joint, metres per radian or metre, in any configuration.
+        slides: (j,) mask of the joints that slide, whose levers are 1.
+        anchors: (n, j, 3) anchors of the joints, metres.
+        turns: (n, j) how far each joint turns at most, radians or metres.
         boxes: (n, m, 6) lower and upper corners of the nodes of each tree in depth-first order, metres.
         after: (n, m) node that follows the subtree of each node.
         sizes: (n,) numbers of nodes.
@@ -171,18 +179,19 @@ def mark_near(
 
 
 @kernel(
-    "i8(i4[:,::1], f8[:,::1], b1[::1], f4[:,::1], i4[::1])",
-    writes=("boxes", "after"),
+    "i8(i4[:,::1], f8[:,::1], b1[::1], f4[:,::1], i4[::1], i4[::1])",
+    writes=("boxes", "after", "source"),
 )
-def pack_tree(child: Ids32, aabb: Floats, chosen: Bools, boxes: Floats32, after: Ids32) -> int:
+def pack_tree(child: Ids32, aabb: Floats, chosen: Bools, boxes: Floats32, after: Ids32, source: Ids32) -> int:
     """Write a tree over some leaves of a larger one in depth-first order; return its number of nodes.
 
     Args:
         child: (m, 2) children of the nodes in depth-first order; -1 for leaves.
         aabb: (m, 6) centers and half sizes of the boxes of the nodes, metres.
         chosen: (m,) mask of the leaves to keep.
-        boxes: (m, 6) result: lower and upper corners, rounded outward.
-        after: (m,) result: node that follows the subtree of each node.
+        boxes: (k, 6) result: lower and upper corners, rounded outward.
+        after: (k,) result: node that follows the subtree of each node.
+        source: (k,) result: each node in the larger tree.
     """
     count = len(child)
     sizes, corners = np.zeros(count, np.int64), np.empty((count, 6))
@@ -193,16 +202,16 @@ def pack_tree(child: Ids32, aabb: Floats, chosen: Bools, boxes: Floats32, after:
             for k in range(3):
                 corners[node, k] = aabb[node, k] - aabb[node, 3 + k]
                 corners[node, 3 + k] = aabb[node, k] + aabb[node, 3 + k]
-        elif sizes[left] > 0 and sizes[right] > 0:
-            sizes[node] = 1 + sizes[left] + sizes[right]
-            for k in range(3):
-                corners[node, k] = min(corners[left, k], corners[right, k])
-                corners[node, 3 + k] = max(corners[left, 3 + k], corners[right, 3 + k])
-        else:  # the node of its only part, if any
-            sizes[node] = sizes[left] + sizes[right]
-            part = left if sizes[left] > 0 else right
-            for k in range(6):
-                corners[node, k] = corners[part, k]
+            continue
+        sizes[node] = sizes[left] + sizes[right]
+        if sizes[left] > 0 and sizes[right] > 0:
+            sizes[node] += 1
+        # a part without leaves counts as its sibling
+        one = left if sizes[left] > 0 else right
+        other = right if sizes[right] > 0 else left
+        for k in range(3):
+            corners[node, k] = min(corners[one, k], corners[other, k])
+            corners[node, 3 + k] = max(corners[one, 3 + k], corners[other, 3 + k])
     place, done = np.zeros(count, np.int64), 0
     for node in range(count):
         if sizes[node] == 0:
@@ -213,10 +222,9 @@ def pack_tree(child: Ids32, aabb: Floats, chosen: Bools, boxes: Floats32, after:
             for k in range(3):
                 boxes[at, k] = np.nextafter(np.float32(corners[node, k]), np.float32(-np.inf))
                 boxes[at, 3 + k] = np.nextafter(np.float32(corners[node, 3 + k]), np.float32(np.inf))
-            after[at] = at + sizes[node]
+            after[at], source[at] = at + sizes[node], node
             done += 1
-        if both:
-            place[left], place[right] = at + 1, at + 1 + sizes[left]
-        elif left >= 0:
-            place[left] = place[right] = at
+        if left >= 0:  # a node with one part gives it its own place
+            place[left] = at + 1 if both else at
+            place[right] = at + 1 + sizes[left] if both else at
     return done

@@ -138,12 +138,15 @@ def test_what_is_parked_twice_need_not_be_copied() -> None:
     assert len({world.used for world in made}) == 3
     least, _, most = made
     for before, after in ((least, most), (most, least)):
-        model = copy.copy(before.compiled.model)
+        model, whole = copy.copy(before.compiled.model), copy.copy(after.compiled.model)
         put_arm_first(model)
-        whole = copy.copy(model)
-        before.load(model, [0])
-        after.load(model, [1], last=before)
-        after.load(whole, [1])
+        put_arm_first(whole)
+        after.load(model, last=before)
+        after.tree.load(whole)
+        nodes = len(after.tree.geom)
         for name in dir(model):
-            if name.startswith(("geom_", "bvh_", "body_")):
-                np.testing.assert_array_equal(getattr(model, name), getattr(whole, name), err_msg=name)
+            if name.startswith(("geom_", "bvh_", "body_")) and name != "bvh_depth":  # which drawings alone use
+                found, expected = getattr(model, name), getattr(whole, name)
+                if name.startswith("bvh_"):
+                    found, expected = found[:nodes], expected[:nodes]
+                np.testing.assert_array_equal(found, expected, err_msg=name)
