@@ -27,7 +27,6 @@ from greenhouse_gym.scene.world_tree import BoxTree
 _VELOCITIES = mujoco.mjtStage.mjSTAGE_VEL
 _LARGEST_FORCE = 2  # of the ways to reduce the contacts of a sensor to one
 _STATE = ("time", "qpos", "qvel", "act", "ctrl", "qacc_warmstart", "history")
-_CHUNK = 32
 _RECORDED = "{} recorded"
 
 
@@ -180,7 +179,8 @@ class OneStepper:
 class ManyStepper:
     """Stepper of many simulations on a thread pool.
 
-    It steps chunks that fit the processor's cache: a whole action of one chunk, then of the next.
+    During an action, links of arms that cannot reach the world do not search it for contacts. An arm that turned farther
+    than was foreseen repeats its action with the search.
 
     Args:
         models: Model of each simulation.
@@ -204,9 +204,6 @@ class ManyStepper:
         frames = self._hidden.frames
         self._bodies = batch.bind("xpos")[:, frames], batch.bind("xmat")[:, frames]
         self._time, self._interval = batch.bind("time"), substeps * models[0].opt.timestep
-        size = _CHUNK * batch.nthread
-        starts = range(0, count, size)
-        self._chunks = [np.arange(i, min(i + size, count), dtype=np.int32) for i in starts] if count > size else [None]
 
     def __deepcopy__(self, memo: dict[int, Any]) -> ManyStepper:
         self._check_process()
@@ -241,8 +238,7 @@ class ManyStepper:
         turns = foreseen(self.qpos, self.command, self.speed, self._interval)
         self._hidden.hide(*self._bodies, self.xanchor, turns)
         with self.listed:
-            for ids in self._chunks:
-                self._batch.step(ids, nstep=self._substeps, stage=_VELOCITIES)
+            self._batch.step(nstep=self._substeps, stage=_VELOCITIES)
             late = np.flatnonzero(beyond(self._joints, self.qpos, start[1], turns))
             if len(late):
                 self._repeat(late, start)
