@@ -179,8 +179,8 @@ class OneStepper:
 class ManyStepper:
     """Stepper of many simulations on a thread pool.
 
-    During an action, links of arms that cannot reach the world do not search it for contacts. An arm that turned farther
-    than was foreseen repeats its action with the search.
+    During an action, links of arms that cannot reach the world do not search it for contacts. An arm that turned
+    farther than was foreseen repeats its action with the search.
 
     Args:
         models: Model of each simulation.
