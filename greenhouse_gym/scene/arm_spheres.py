@@ -47,7 +47,7 @@ def arm_spheres(model: mujoco.MjModel, joints: int) -> ArmSpheres:
         mujoco.mju_rotVecQuat(axis, np.array([0.0, 0.0, 1.0]), model.geom_quat[geom])
         for offset in thirds:
             middles.append(model.geom_pos[geom] + offset * axis)
-            radii.append(radius + float(model.geom_margin[geom]))
+            radii.append(radius + float(model.geom_margin[geom] + model.geom_gap[geom]))
             bodies.append(int(model.geom_bodyid[geom]))
     levers = np.array([_levers(model, joints, body, middle) for body, middle in zip(bodies, middles, strict=True)])
     slides = np.asarray(model.jnt_type[:joints] == mujoco.mjtJoint.mjJNT_SLIDE)
