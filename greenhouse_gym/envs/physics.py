@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Collection, Mapping, Sequence
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import mujoco
 import numpy as np
@@ -14,7 +14,7 @@ from greenhouse_gym.envs.actions import ToolMotion
 from greenhouse_gym.envs.contacts import CONTACT_GROUPS, LEAF, Contact, Contacts, contact_groups
 from greenhouse_gym.envs.randomization import Disturbance, displace_base
 from greenhouse_gym.envs.state import Bools, ControlTiming, Ids
-from greenhouse_gym.envs.stepping import ManyStepper, OneStepper, Stepper
+from greenhouse_gym.envs.stepping import ManyStepper, OneStepper, Start, Stepper
 from greenhouse_gym.envs.world import World
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.leaf_contacts import LeafContacts
@@ -70,15 +70,6 @@ class AnyPhysics(Protocol):
         self, i: int, targets: Sequence[int], disturbance: Disturbance
     ) -> tuple[mujoco.MjModel, mujoco.MjData]:
         """Return copies of the model and the state of a simulation."""
-
-
-class _Start(NamedTuple):
-    """Initial values of an action: positions, velocities, solver warm start and commands, each (j,) or (n, j)."""
-
-    joints: Array
-    velocities: Array
-    warmstart: Array
-    command: Array
 
 
 class Physics:
@@ -143,8 +134,7 @@ class Physics:
         world.load(model, self._worlds[i])
         _begin(model, world, targets, disturbance)
         self._worlds[i] = world
-        self._stepper.load(i, world.tree.reach)
-        self._stepper.listed.load(i, world.used)
+        self._stepper.load(i, world.tree.reach, world.used)
         if not self._leaves_push:
             self.brushed[i], self._leaf_contacts[i] = set(), _leaf_contacts(world, disturbance)
 
@@ -152,7 +142,7 @@ class Physics:
         """Place some arms at rest at configurations (len(ids), j) and return their contacts there."""
         touching = self._stepper.place(ids, configurations)
         rest = np.zeros(configurations.shape)
-        return self._contacts(ids, touching, _Start(configurations, rest, rest, configurations), 0)
+        return self._contacts(ids, touching, Start(configurations, rest, rest, configurations), 0)
 
     def advance(self, command: Array, vacuum: Bools) -> Contacts:
         """Run one action, during which the servos' commands move at constant speed to the new ones (n, j).
@@ -160,9 +150,9 @@ class Physics:
         The vacuum holds nothing: no fruit comes off rigid plants.
         """
         stepper = self._stepper
-        before = [array.copy() for array in (stepper.qpos, stepper.qvel, stepper.warmstart, stepper.command)]
         stepper.speed[:] = (command - stepper.command) / self._timing.interval
-        start, touching = _Start._make(before), stepper.run()
+        touching = stepper.run()
+        start = stepper.start
         if self._leaves_push or not touching.any():
             return self._contacts(self._ids, touching, start, self._timing.substeps)
         # only leaves were touched where nothing pushed, so that these actions need no repetition
@@ -203,7 +193,7 @@ class Physics:
         mujoco.mj_forward(model, data)
         return model, data
 
-    def _contacts(self, ids: Ids, touching: Bools, start: _Start, substeps: int) -> Contacts:
+    def _contacts(self, ids: Ids, touching: Bools, start: Start, substeps: int) -> Contacts:
         """Classify the contacts of the few simulations that have any by repeating their action."""
         if not touching.any():
             return Contacts(self._no_counts[: len(ids)], self._no_counts[: len(ids), LEAF], touching, {})
@@ -213,12 +203,12 @@ class Physics:
         first: dict[int, Contact] = {}
         for k in np.flatnonzero(touching).tolist():
             i = int(ids[k])
-            counts[k], leaf_steps[k], contact = self._repeat(i, _Start._make(values[k] for values in start), substeps)
+            counts[k], leaf_steps[k], contact = self._repeat(i, start.of(k), substeps)
             if contact is not None:
                 collided[k], first[i] = True, contact
         return Contacts(counts, leaf_steps, collided, first)
 
-    def _repeat(self, i: int, start: _Start, substeps: int) -> tuple[npt.NDArray[np.int64], int, Contact | None]:
+    def _repeat(self, i: int, start: Start, substeps: int) -> tuple[npt.NDArray[np.int64], int, Contact | None]:
         """Repeat the last action of a simulation.
 
         Returns its contacts by group, its physics steps with a leaf, and the first contact that ends the episode.

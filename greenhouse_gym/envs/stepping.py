@@ -10,7 +10,7 @@ from __future__ import annotations
 import copy
 import os
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import mujoco
 import numpy as np
@@ -78,6 +78,26 @@ def _pushed(records: Array, rows: npt.NDArray[np.integer]) -> Bools:
     return np.asarray((records[..., 1] > 0).any(axis=1) | (rows[0] > rows[1:].sum(axis=0)))
 
 
+class Start(NamedTuple):
+    """State at the beginning of an action: each (j,) of one simulation, or (n, j) of all.
+
+    Attributes:
+        joints: Joint positions, radians.
+        velocities: Joint velocities, rad/s.
+        warmstart: Warm start of the constraint solver.
+        command: Commanded positions, radians.
+    """
+
+    joints: Array
+    velocities: Array
+    warmstart: Array
+    command: Array
+
+    def of(self, i: int) -> Start:
+        """Return the state of one of all simulations."""
+        return Start._make(values[i] for values in self)
+
+
 class Stepper(Protocol):
     """Stepper of n simulations; all arrays are live.
 
@@ -92,6 +112,7 @@ class Stepper(Protocol):
         xanchor: (n, j, 3) points on the joint axes, metres.
         xaxis: (n, j, 3) unit vectors along the joint axes.
         listed: Lists of the geoms of the models.
+        start: State of all simulations at the beginning of the last action.
     """
 
     qpos: Array
@@ -104,9 +125,10 @@ class Stepper(Protocol):
     xanchor: Array
     xaxis: Array
     listed: ShortGeomLists
+    start: Start
 
-    def load(self, i: int, tree: BoxTree) -> None:
-        """Take note of the boxes around all that the arm can touch in another world that a model holds."""
+    def load(self, i: int, tree: BoxTree, used: int) -> None:
+        """Take note of another world in a model: the boxes around all that the arm can touch, and its used geoms."""
 
     def place(self, ids: Ids, configurations: Array) -> Bools:
         """Place some arms, whose models may have been edited, at rest and return which have contacts."""
@@ -122,6 +144,11 @@ class Stepper(Protocol):
 
         It must have pushed before a physics step or be present at the end.
         """
+
+
+def _start(stepper: Stepper) -> Start:
+    """Return copies of the present state of all simulations."""
+    return Start(stepper.qpos.copy(), stepper.qvel.copy(), stepper.warmstart.copy(), stepper.command.copy())
 
 
 class OneStepper:
@@ -147,8 +174,9 @@ class OneStepper:
         twin.listed.load_all(self.listed)
         return twin
 
-    def load(self, i: int, tree: BoxTree) -> None:
-        """See `Stepper.load`; a single simulation hides nothing."""
+    def load(self, i: int, tree: BoxTree, used: int) -> None:
+        """See `Stepper.load`; a single simulation hides nothing, so it needs no boxes."""
+        self.listed.load(i, used)
 
     def place(self, ids: Ids, configurations: Array) -> Bools:
         """See `Stepper.place`."""
@@ -160,7 +188,7 @@ class OneStepper:
 
     def run(self) -> Bools:
         """See `Stepper.run`."""
-        model, data = self._model, self._data
+        model, data, self.start = self._model, self._data, _start(self)
         with self.listed:
             mujoco.mj_step2(model, data)
             mujoco.mj_step(model, data, self._substeps - 1)
@@ -216,9 +244,10 @@ class ManyStepper:
         twin.listed.load_all(self.listed)
         return twin
 
-    def load(self, i: int, tree: BoxTree) -> None:
+    def load(self, i: int, tree: BoxTree, used: int) -> None:
         """See `Stepper.load`."""
         self._hidden.load(i, tree)
+        self.listed.load(i, used)
 
     def place(self, ids: Ids, configurations: Array) -> Bools:
         """See `Stepper.place`."""
@@ -234,20 +263,21 @@ class ManyStepper:
     def run(self) -> Bools:
         """See `Stepper.run`."""
         self._check_process()
-        start = [array.copy() for array in (self._time, self.qpos, self.qvel, self.command, self.warmstart)]
+        self.start, time = _start(self), self._time.copy()
         turns = foreseen(self.qpos, self.command, self.speed, self._interval)
         self._hidden.hide(*self._bodies, self.xanchor, turns)
         with self.listed:
             self._batch.step(nstep=self._substeps, stage=_VELOCITIES)
-            late = np.flatnonzero(beyond(self._joints, self.qpos, start[1], turns))
+            late = np.flatnonzero(beyond(self._joints, self.qpos, self.start.joints, turns))
             if len(late):
-                self._repeat(late, start)
+                self._repeat(late, time)
         return self._records[..., 0].any(axis=1) | (self._ncon > 0)
 
-    def _repeat(self, ids: Ids, start: Sequence[Array]) -> None:
-        """Repeat the last action of some simulations with their whole worlds."""
+    def _repeat(self, ids: Ids, time: Array) -> None:
+        """Repeat the last action of some simulations, which began at times (n,), with their whole worlds."""
         self._hidden.show(ids)
-        for array, before in zip((self._time, self.qpos, self.qvel, self.command, self.warmstart), start, strict=True):
+        now = self.qpos, self.qvel, self.warmstart, self.command, self._time
+        for array, before in zip(now, (*self.start, time), strict=True):
             array[ids] = before[ids]
         self._batch.forward(ids, stage=_VELOCITIES)
         self._batch.step(ids, nstep=self._substeps, stage=_VELOCITIES)

@@ -13,7 +13,7 @@ from reach_helpers import REACH, scene_of, tool_at
 from greenhouse_gym.crops.parts import MAX_LEAF, SpaceBox, Tomato, is_leaf
 from greenhouse_gym.envs import GreenhouseEnv, GreenhouseVectorEnv, Randomization
 from greenhouse_gym.envs.contacts import CONTACT_GROUPS, LEAF
-from greenhouse_gym.envs.physics import Physics, _Start
+from greenhouse_gym.envs.physics import Physics, Start
 from greenhouse_gym.envs.worlds import Worlds
 from greenhouse_gym.errors import InvalidValueError, UnknownNameError
 from greenhouse_gym.geometry import Box, Capsule, Shape, Sphere
@@ -152,7 +152,7 @@ def test_counts_without_a_repetition_are_those_of_one() -> None:
         before = [array.copy() for array in (stepper.qpos, stepper.qvel, stepper.warmstart, stepper.command)]
         _, _, terminated, _, infos = env.step(actions(step))
         for i in np.flatnonzero(~terminated & (infos["brushing"] > 0)):
-            counts, leaf_steps, contact = physics._repeat(i, _Start._make(values[i] for values in before), 5)
+            counts, leaf_steps, contact = physics._repeat(i, Start._make(values[i] for values in before), 5)
             assert contact is None
             assert counts[LEAF] == infos["contacts"]["leaf"][i] == counts.sum()
             assert leaf_steps * 0.01 == pytest.approx(infos["brushing"][i])
