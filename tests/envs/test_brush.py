@@ -13,7 +13,8 @@ from reach_helpers import REACH, scene_of, tool_at
 from greenhouse_gym.crops.parts import MAX_LEAF, SpaceBox, Tomato, is_leaf
 from greenhouse_gym.envs import GreenhouseEnv, GreenhouseVectorEnv, Randomization
 from greenhouse_gym.envs.contacts import CONTACT_GROUPS, LEAF
-from greenhouse_gym.envs.physics import Physics, Start
+from greenhouse_gym.envs.physics import Physics
+from greenhouse_gym.envs.stepping import Start
 from greenhouse_gym.envs.worlds import Worlds
 from greenhouse_gym.errors import InvalidValueError, UnknownNameError
 from greenhouse_gym.geometry import Box, Capsule, Shape, Sphere
