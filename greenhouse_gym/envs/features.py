@@ -70,6 +70,12 @@ def _target_direction(state: State) -> Array:
     return np.asarray(offset / np.maximum(lengths(offset), 1e-6)[:, None])
 
 
+def _turn_to_target(state: State) -> Array:
+    """Return cross products (n, 3) of the tool axis and the direction to the target."""
+    (ax, ay, az), (bx, by, bz) = state.axis.T, _target_direction(state).T  # np.cross takes ten times as long for one
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
+
+
 FEATURES: Mapping[str, Feature] = MappingProxyType(
     {
         "joint_position": Feature(lambda s: s.joints, lambda r: (r.lower - JOINT_MARGIN, r.upper + JOINT_MARGIN)),
@@ -80,7 +86,7 @@ FEATURES: Mapping[str, Feature] = MappingProxyType(
         "grasp_offset": Feature(lambda s: s.target - s.grasp, lambda r: _within(MAX_OFFSET, 3)),
         "target_position": Feature(lambda s: s.target, _positions),
         "target_direction": Feature(_target_direction, lambda r: _within(1.0, 3)),
-        "turn_to_target": Feature(lambda s: np.cross(s.axis, _target_direction(s)), lambda r: _within(1.0, 3)),
+        "turn_to_target": Feature(_turn_to_target, lambda r: _within(1.0, 3)),
         "tip_position": Feature(lambda s: s.tip, _positions),
         "tool_axis": Feature(lambda s: s.axis, lambda r: _within(1.0, 3)),
         "clearance": Feature(lambda s: s.clearance, lambda r: _between(MIN_CLEARANCE, MAX_DISTANCE, len(r.probes))),

@@ -178,36 +178,16 @@ class FieldStore:
             Distances (n, k), metres, at most `MAX_DISTANCE`; unit directions (n, k, 3) towards the obstacle, zero
             where the distance is capped.
         """
+        from greenhouse_gym.motion.lookup_kernel import interpolate
+
         n, k, _ = points.shape
-        # One row per axis from here on, and few array operations: their number sets the time of a single simulation.
-        position = np.array(((points.reshape(-1, 3) - _ORIGIN) / CELL).T, dtype=np.float32, order="C")
-        inside = np.minimum(np.maximum(position, _ZERO), _LAST)
-        node = inside.astype(np.int64)
-        x, y, z = inside - node.astype(np.float32)
-        cells = node[0] * SHAPE[1] + node[1] + (slots * _CELLS_OF_SLOT).repeat(k)
-        first = self._first.reshape(-1).take(cells)
-        if np.minimum.reduce(first, initial=0) < 0:
+        cells, distances = np.empty(n * k, dtype=np.int64), np.empty((n, k), dtype=np.float32)
+        directions = np.empty((n, k, 3), dtype=np.float32)
+        request = slots, ignored, points, cells, distances, directions
+        while not interpolate(self._first.reshape(-1), self._nodes.reshape(-1), *request):
             with self._lock:
                 self._complete(cells)
-            first = self._first.reshape(-1).take(cells)
-        flat = first * SHAPE[2] + node[2]
-        corners = self._nodes.reshape(-1).take(flat + _CORNERS).view(NODE)  # (2, 2, 2, n * k): z, y, x
-        is_ignored = corners["tomato"] == ignored.repeat(k)
-        c = np.where(is_ignored, corners["otherwise"], corners["distance"]).astype(np.float32)
-        # Interpolate along z, then y, then x: the value together with its slopes along the axes done so far.
-        slope = c[1] - c[0]
-        along_z = np.concatenate([(c[0] + z * slope)[:, :, None], slope[:, :, None]], axis=2)  # y; x; value, slope z
-        slope = along_z[1] - along_z[0]
-        along_y = np.concatenate([along_z[0] + y * slope, slope[:, :1]], axis=1)  # x; value, slopes z and y
-        slope = along_y[1] - along_y[0]
-        value, slope_z, slope_y = along_y[0] + x * slope
-        # Two norms at once: of the slopes, and of the offset from the grid of points outside it.
-        vectors = np.concatenate([slope[0], slope_y, slope_z, (position - inside).reshape(-1)]).reshape(2, 3, -1)
-        length, outside = _norm(vectors.swapaxes(0, 1))
-        slopes, distance = vectors[0], value + _CELL * outside
-        length[(distance >= _NEARLY_MAX) | (length <= _TINY)] = np.inf
-        direction = slopes / -length
-        return np.minimum(distance, _MAX).reshape(n, k), direction.reshape(3, n, k).transpose(1, 2, 0)
+        return distances, directions
 
 
 class FieldsOfSimulations(NamedTuple):
@@ -241,21 +221,6 @@ class FieldsOfSimulations(NamedTuple):
         return self.store.lookup(self.slots, self.ignored, points - self.along)
 
 
-_ORIGIN = np.array(ORIGIN)
-# Just below the last node, so that every cell has an upper corner.
-_LAST = np.nextafter(np.array(SHAPE, dtype=np.float32) - 1, np.float32(0.0))[:, None]
 _COLUMN = BLOCK, BLOCK, SHAPE[2]
 _CELLS = BLOCK - 1  # along x and y in a column; neighboring columns share nodes
 _IN_COLUMN = np.add.outer(BLOCK * np.arange(_CELLS), np.arange(_CELLS))
-_CELLS_OF_SLOT = SHAPE[0] * SHAPE[1]
-_CORNERS = np.add.outer(np.add.outer([0, 1], [0, SHAPE[2]]), [0, BLOCK * SHAPE[2]])[..., None]
-_ZERO, _TINY, _CELL, _MAX, _NEARLY_MAX = np.array([0.0, 1e-6, CELL, MAX_DISTANCE, MAX_DISTANCE - 1e-3], np.float32)
-
-
-def _norm(vectors: Float32) -> Float32:
-    """Return lengths (...) of vectors (3, ...)."""
-    squares = vectors * vectors
-    x, y, z = squares
-    x += y
-    x += z
-    return np.asarray(np.sqrt(x, out=x))

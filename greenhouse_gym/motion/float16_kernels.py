@@ -1,4 +1,4 @@
-"""Kernels that round numbers to float16, which the compiler has no type for."""
+"""Kernels that round numbers to float16, which the compiler has no type for, and read them."""
 
 from __future__ import annotations
 
@@ -10,6 +10,14 @@ _HALF = np.float32(0.5)
 # the smallest normal float16 as the bits of a float32, the difference of the exponents' biases, the bits lost
 _SMALLEST_NORMAL, _BIAS, _LOST = np.uint32(113 << 23), np.uint32(112 << 23), np.uint32(13)
 _SIGN, _HALF_BITS, _UP_TO_TIES, _ODD = np.uint32(1 << 31), np.uint32(126 << 23), np.uint32(0xFFF), np.uint32(1)
+_MAGNITUDE, _SIGN_SHIFT, _RESCALED = np.uint32(0x7FFF), np.uint32(16), np.float32(2.0**112)
+
+
+@inlined
+def from_half_bits(bits):
+    """Return the finite number with these bits as float16, as float32."""
+    size = np.uint32((bits & _MAGNITUDE) << _LOST).view(np.float32) * _RESCALED
+    return -size if (bits << _SIGN_SHIFT) & _SIGN else size
 
 
 @inlined

@@ -95,7 +95,7 @@ class Robot:
         """(n,) start that keeps away from plants: ``upright`` if the arm has it, else its own."""
         return self.starts.get("upright", self.start)
 
-    @property
+    @cached_property
     def on_rail(self) -> bool:
         """True if the base slides, with the cart that it stands on, see `greenhouse_gym.robots.mount_on_rail`."""
         return slides(self.specification)

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 
+import numba
 import numpy as np
 import pytest
 
@@ -27,6 +28,7 @@ from greenhouse_gym.motion.distance_field import (
     FieldStore,
     obstacle_field,
 )
+from greenhouse_gym.motion.float16_kernels import from_half_bits
 
 
 def some_shapes(seed: int, count: int = 40) -> list[Shape]:
@@ -214,3 +216,24 @@ def test_threads_share_a_store() -> None:
     with ThreadPoolExecutor(len(kinds)) as threads:
         for own, result in zip(expected, threads.map(found, kinds), strict=True):
             np.testing.assert_array_equal(result, own)
+
+
+def test_what_is_no_number_has_no_distance_and_disturbs_no_other_point() -> None:
+    store, rng = FieldStore(), np.random.default_rng(0)
+    slots = np.array([store.add(arrays_of(some_shapes(3)))])
+    points = rng.uniform([0.2, -0.5, -0.5], [0.9, 0.5, 0.5], (1, 6, 3))
+    expected = store.lookup(slots, np.array([NO_TOMATO]), points)[0]
+    points[0, 2, 1], points[0, 4] = np.nan, np.inf
+    distances = store.lookup(slots, np.array([NO_TOMATO]), points)[0]
+    assert np.isnan(distances[0, 2])
+    assert distances[0, 4] == np.float32(MAX_DISTANCE)
+    kept = [0, 1, 3, 5]
+    np.testing.assert_array_equal(distances[0, kept], expected[0, kept])
+
+
+def test_every_finite_float16_is_read_as_itself() -> None:
+    bits = np.arange(1 << 16, dtype=np.uint32)
+    numbers = bits.astype(np.uint16).view(np.float16).astype(np.float32)
+    finite = np.isfinite(numbers)
+    read = numba.njit(lambda values: [from_half_bits(value) for value in values])(bits[finite])
+    np.testing.assert_array_equal(np.array(read, dtype=np.float32).view(np.uint32), numbers[finite].view(np.uint32))
