@@ -23,6 +23,8 @@ Float32 = npt.NDArray[np.float32]
 _HIDDEN: Mapping[str, Callable[[Float32], Float32]] = {"tanh": np.tanh, "relu": lambda x: np.maximum(x, np.float32(0))}
 _OUTPUT: Mapping[str, Callable[[Float32], Float32]] = {"clip": lambda x: np.clip(x, -1.0, 1.0), "tanh": np.tanh}
 
+_ACTOR, _CRITIC = "layer", "value_layer"  # prefixes of the names of arrays
+
 MAX_LAYERS, MAX_WIDTH = 16, 1 << 14
 """Largest number of layers, and of entries in each."""
 
@@ -65,6 +67,7 @@ class Description(_Part):
 
     schema_version: Literal[2] = 2
     network: _Network
+    value_sizes: list[PositiveInt] | None = Field(default=None, min_length=2, max_length=MAX_LAYERS + 1)
     observation_layout: list[tuple[str, PositiveInt]] = Field(max_length=1000)
     env_options: _EnvOptions
     weights_sha256: str
@@ -85,6 +88,9 @@ class Policy:
         env_options: Keywords of `gymnasium.make` for that environment.
         layout: Name and number of entries of each group of the observation.
         training: Algorithm, settings and progress of its training.
+        value_weights: Per layer of the critic, a network of the same inputs and activation with one output; empty
+            without a critic.
+        value_biases: Per layer of the critic.
     """
 
     weights: tuple[Float32, ...]
@@ -96,6 +102,8 @@ class Policy:
     env_options: Mapping[str, Any]
     layout: tuple[tuple[str, int], ...]
     training: Mapping[str, Any] = field(default_factory=dict)
+    value_weights: tuple[Float32, ...] = ()
+    value_biases: tuple[Float32, ...] = ()
 
     def __call__(self, observations: npt.ArrayLike) -> Float32:
         """Return actions (k,) or (n, k) for observations (size,) or (n, size).
@@ -105,14 +113,29 @@ class Policy:
         Raises:
             InvalidValueError: The observations have another size.
         """
+        return _OUTPUT[self.output](self._network(observations, self.weights, self.biases))
+
+    def value(self, observations: npt.ArrayLike) -> Float32:
+        """Return the critic's values (n,) of observations (n, size): the expected discounted sum of rewards.
+
+        Raises:
+            InvalidValueError: The policy has no critic, or the observations have another size.
+        """
+        if not self.value_weights:
+            raise InvalidValueError("this policy has no critic, so it cannot tell the value of an observation")
+        return self._network(observations, self.value_weights, self.value_biases)[..., 0]
+
+    def _network(
+        self, observations: npt.ArrayLike, weights: tuple[Float32, ...], biases: tuple[Float32, ...]
+    ) -> Float32:
         x = np.asarray(observations, dtype=np.float32)
         if x.shape[-1:] != self.center.shape:
             raise InvalidValueError(f"expected inputs of {len(self.center)} entries, got shape {x.shape}")
         x = ((x - self.center) / self.scale)[..., None]
         # products with one vector each: a product of matrices rounds differently for another number of rows
-        for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
+        for weight, bias in zip(weights[:-1], biases[:-1], strict=True):
             x = _HIDDEN[self.activation](weight @ x + bias[:, None])
-        return _OUTPUT[self.output]((self.weights[-1] @ x)[..., 0] + self.biases[-1])
+        return np.asarray((weights[-1] @ x)[..., 0] + biases[-1])
 
     def save(self, path: str | Path) -> Path:
         """Write ``path``.safetensors (weights) and then ``path``.json (everything else); return the latter.
@@ -122,8 +145,12 @@ class Policy:
         """
         description_file = description_path(path)
         arrays = {"center": self.center, "scale": self.scale}
-        for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
-            arrays[f"layer_{i}.weight"], arrays[f"layer_{i}.bias"] = weight, bias
+        for prefix, weights, biases in (
+            (_ACTOR, self.weights, self.biases),
+            (_CRITIC, self.value_weights, self.value_biases),
+        ):
+            for i, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
+                arrays[f"{prefix}_{i}.weight"], arrays[f"{prefix}_{i}.bias"] = weight, bias
         content = _safetensors().save({k: np.ascontiguousarray(a, dtype=np.float32) for k, a in arrays.items()})
         try:
             description = Description(
@@ -132,6 +159,7 @@ class Policy:
                     activation=self.activation,  # type: ignore[arg-type]
                     output=self.output,  # type: ignore[arg-type]
                 ),
+                value_sizes=_sizes(self.value_weights) if self.value_weights else None,
                 observation_layout=list(self.layout),
                 env_options=_EnvOptions(**{"action": EnvSettings().action, **self.env_options}),
                 weights_sha256=hashlib.sha256(content).hexdigest(),
@@ -170,10 +198,16 @@ class Policy:
             raise FileFormatError(weights_file, f"does not fit {description_file.name}: {flaw}")
         # Products of unaligned arrays, as a file may contain them, are summed in another order.
         aligned = {name: np.require(array, requirements=["C", "A"]) for name, array in arrays.items()}
-        layers = range(len(description.network.sizes) - 1)
+
+        def layers(prefix: str, kind: str, sizes: list[int]) -> tuple[Float32, ...]:
+            return tuple(aligned[f"{prefix}_{i}.{kind}"] for i in range(len(sizes) - 1))
+
+        actor, critic = description.network.sizes, description.value_sizes or []
         return cls(
-            weights=tuple(aligned[f"layer_{i}.weight"] for i in layers),
-            biases=tuple(aligned[f"layer_{i}.bias"] for i in layers),
+            weights=layers(_ACTOR, "weight", actor),
+            biases=layers(_ACTOR, "bias", actor),
+            value_weights=layers(_CRITIC, "weight", critic),
+            value_biases=layers(_CRITIC, "bias", critic),
             activation=description.network.activation,
             center=aligned["center"],
             scale=aligned["scale"],
@@ -186,16 +220,19 @@ class Policy:
 
 def _flaw(arrays: Mapping[str, npt.NDArray[Any]], description: Description) -> str:
     """Return the reason why weights do not fit the described network; empty if they do."""
-    sizes = description.network.sizes
-    if max(sizes) > MAX_WIDTH:
-        return f"a layer has {max(sizes)} entries, at most {MAX_WIDTH} are allowed"
+    sizes, critic = description.network.sizes, description.value_sizes
+    if max(*sizes, *(critic or [])) > MAX_WIDTH:
+        return f"a layer has {max(*sizes, *(critic or []))} entries, at most {MAX_WIDTH} are allowed"
     if (entries := sum(size for _, size in description.observation_layout)) and entries != sizes[0]:
         return f"the observation_layout has {entries} entries, the network takes {sizes[0]}"
+    if critic and (critic[0] != sizes[0] or critic[-1] != 1):
+        return f"value_sizes must begin with {sizes[0]} and end with 1, got {critic}"
     if flaw := flaw_of(tuple(description.observation_layout)):
         return flaw
     shapes: dict[str, tuple[int, ...]] = {"center": (sizes[0],), "scale": (sizes[0],)}
-    for i, (inputs, outputs) in enumerate(pairwise(sizes)):
-        shapes |= {f"layer_{i}.weight": (outputs, inputs), f"layer_{i}.bias": (outputs,)}
+    for prefix, widths in ((_ACTOR, sizes), (_CRITIC, critic or [])):
+        for i, (inputs, outputs) in enumerate(pairwise(widths)):
+            shapes |= {f"{prefix}_{i}.weight": (outputs, inputs), f"{prefix}_{i}.bias": (outputs,)}
     for name, shape in shapes.items():
         array = arrays.get(name)
         if array is None or array.shape != shape or array.dtype != np.float32:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy.typing as npt
 
-from greenhouse_gym.agents.agent import NamedAgent, Problem
+from greenhouse_gym.agents.agent import Agent, NamedAgent, Problem
 from greenhouse_gym.agents.goal_features import GOAL_FEATURES, goal_vector
 from greenhouse_gym.agents.policy import Float32, Policy, description_path
 from greenhouse_gym.common.files import data_path
@@ -66,9 +66,7 @@ class PolicyAgent(NamedAgent):
         Raises:
             InvalidValueError: The policy was trained for another arm.
         """
-        trained_for = Path(self.env_options.get("robot", problem.robot.name)).stem
-        if problem.robot.name != trained_for:
-            raise InvalidValueError(f"policy {self.name!r} drives {trained_for!r}, got robot {problem.robot.name!r}")
+        check_arm(self, problem)
 
     def act(self, observation: Any) -> Float32:
         """Return the most likely action (joints,), or (n, joints) for observations (n, size)."""
@@ -87,3 +85,14 @@ class PolicyAgent(NamedAgent):
             return goal_vector(observation, layout)
         vector: npt.ArrayLike = observation
         return vector
+
+
+def check_arm(agent: Agent, problem: Problem) -> None:
+    """Check that an agent's policy was trained for the arm of a problem.
+
+    Raises:
+        InvalidValueError: It was trained for another arm.
+    """
+    trained_for = Path(agent.env_options.get("robot", problem.robot.name)).stem
+    if problem.robot.name != trained_for:
+        raise InvalidValueError(f"policy {agent.name!r} drives {trained_for!r}, got robot {problem.robot.name!r}")

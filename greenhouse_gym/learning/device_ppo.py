@@ -24,6 +24,7 @@ with needs("train"):
     import torch
     from torch import Tensor, nn
 
+    from greenhouse_gym.learning.device_goals import GoalChoices, begin_as_straight_line
     from greenhouse_gym.learning.device_networks import Networks
     from greenhouse_gym.learning.training_files import MAX_WEIGHT
 
@@ -66,8 +67,18 @@ class DevicePpo:
         ages = np.random.default_rng(settings.seed).integers(step_limit_of(self.env.settings), size=count)
         self.env.simulation.state.steps.assign(ages.astype(np.int32))
         actions = int(self.env.simulation.action.shape[1])
-        layout = self.env.simulation.observe.layout
-        self.networks = Networks(size, actions, settings, layout).to(device)
+        self._layout = self.env.simulation.observe.layout
+        self._choices: GoalChoices | None = None
+        if settings.goals:
+            self._choices = GoalChoices(self.env, settings.goals)
+            self._layout = self._choices.layout
+            size = sum(width for _, width in self._layout)
+        self.networks = Networks(size, actions, settings, self._layout).to(device)
+        if self._choices is not None:
+            begin_as_straight_line(self.networks, self._layout)
+            with torch.no_grad():
+                everyone = torch.ones(count, dtype=torch.bool)
+                self._observation = self._choices(self._observation, self.networks, everyone)
         steps = settings.rollout_steps
         shapes: dict[str, tuple[int, ...]] = {
             "observations": (steps + 1, count, size),
@@ -145,11 +156,11 @@ class DevicePpo:
     def policy(self) -> Policy:
         """Return the mean of the actor as a policy."""
         layers = [layer for layer in self.networks.actor if isinstance(layer, nn.Linear)]
+        critic = [layer for layer in self.networks.critic if isinstance(layer, nn.Linear)] if self._choices else []
 
         def numbers(tensor: Tensor) -> np.ndarray[Any, Any]:
             return tensor.detach().cpu().numpy().astype(np.float32)
 
-        simulation = self.env.simulation
         return Policy(
             weights=tuple(numbers(layer.weight) for layer in layers),
             biases=tuple(numbers(layer.bias) for layer in layers),
@@ -157,7 +168,9 @@ class DevicePpo:
             center=numbers(self.networks.center),
             scale=numbers(self.networks.scale),
             env_options=self.env.settings.agent_options(),
-            layout=simulation.observe.layout,
+            layout=self._layout,
+            value_weights=tuple(numbers(layer.weight) for layer in critic),
+            value_biases=tuple(numbers(layer.bias) for layer in critic),
             training={
                 "algorithm": "PPO on a device",
                 "steps": self.steps,
@@ -180,7 +193,8 @@ class DevicePpo:
             b["actions"][t].copy_(mean + log_std.exp() * noise)
             b["chances"][t].copy_(constant - 0.5 * (noise * noise).sum(1))
             # the environment clips actions, and ignores those of the step that begins an episode
-            self._observation, reward, terminated, truncated, info = self.env.step(b["actions"][t])
+            observation, reward, terminated, truncated, info = self.env.step(b["actions"][t])
+            self._observation = self._choices(observation, networks) if self._choices else observation
             b["used"][t].copy_(1 - self._waiting)
             b["rewards"][t].copy_(reward)
             b["terminal"][t].copy_(terminated)

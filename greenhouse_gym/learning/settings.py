@@ -9,7 +9,7 @@ from typing import Annotated
 from pydantic import Field
 
 from greenhouse_gym.common.settings_files import Count, Fraction, PositiveCount, check_numbers
-from greenhouse_gym.errors import InvalidValueError, require_choice
+from greenhouse_gym.errors import InvalidValueError, check_whole, require_choice
 from greenhouse_gym.learning.training_settings import (
     Choice,
     Layers,
@@ -118,6 +118,9 @@ class DevicePpoSettings:
         sources: Sources of the rows to train on, such as "own" or "helios"; all if empty.
         robot: The arm.
         action: "joint", "joint_velocity" or "tip_velocity".
+        goals: Number of goal configurations of each target among which the critic chooses as an episode begins, see
+            `greenhouse_gym.agents.GoalChoosingAgent`; 0 for a policy that observes none. They need joint actions and
+            the CPU. Inverse kinematics finds them before the training begins, in one to three minutes.
         difficulty: Difficulties of the targets.
         scene: Name of the only scene to train on; all of the split if None.
         target: The only tomato of the scene to train on.
@@ -144,6 +147,7 @@ class DevicePpoSettings:
     sources: tuple[str, ...] = ()
     robot: str = "ur5e"
     action: str = "tip_velocity"
+    goals: int = 0
     difficulty: tuple[str, ...] = ("easy", "medium", "hard")
     scene: str | None = None
     target: int | None = None
@@ -167,6 +171,10 @@ class DevicePpoSettings:
         sizes = (512, 32, 2, (128, 128)) if self.device == "cpu" else (4096, 24, 4, (256, 256))
         for name, size in zip(("num_envs", "rollout_steps", "epochs", "hidden"), sizes, strict=True):
             object.__setattr__(self, name, getattr(self, name) or size)
+        if check_whole("goals", self.goals, 0) and (self.action, self.device) != ("joint", "cpu"):
+            raise InvalidValueError(
+                f'goals need action="joint" and device="cpu", got {self.action!r} and {self.device!r}'
+            )
 
 
 @dataclass(frozen=True)

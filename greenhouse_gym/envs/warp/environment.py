@@ -60,6 +60,11 @@ class WarpVectorEnv(EnvMixin, VectorEnv[Any, Any, Any]):  # type: ignore[misc]
         max_episode_steps: Step limit below that of the settings.
         **fields: Fields of `EnvSettings`, which replace those of ``settings``.
 
+    Attributes:
+        target_rows: (n,) rows of the current tomatoes in ``simulation.bank.arrays``, a tensor that changes with each
+            step; None unless tensors are returned.
+        episode_steps: (n,) steps of the current episodes, likewise.
+
     Raises:
         MissingDependencyError: Warp, or torch for tensors, is not installed.
         InvalidValueError: A setting is not supported, or the device is missing or lacks memory; the message names the
@@ -118,7 +123,10 @@ class WarpVectorEnv(EnvMixin, VectorEnv[Any, Any, Any]):  # type: ignore[misc]
         self._final = {
             key: wp.clone(array) for key, array in (self._observed | self._info).items()
         } if self.autoreset_mode == AutoresetMode.SAME_STEP else {}  # fmt: skip
+        self.target_rows: Any = None
+        self.episode_steps: Any = None
         if self._torch is not None:
+            self.target_rows, self.episode_steps = wp.to_torch(state.row), wp.to_torch(state.steps)
             self._action = wp.to_torch(simulation.action)
             self._tensors = {
                 id(array): wp.to_torch(array)

@@ -1,0 +1,115 @@
+"""Agents that choose one of several goal configurations by a critic, and move to it by a policy.
+
+The goals come from inverse kinematics and collision checks of the known scene. No path is planned: the network
+observes the offset to its goal, the room around the arm there, and what every policy observes around the arm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from greenhouse_gym.agents.agent import NamedAgent, Problem
+from greenhouse_gym.agents.policy import Float32, Policy
+from greenhouse_gym.agents.policy_agent import PolicyAgent, check_arm
+from greenhouse_gym.envs.features import Layout, feature_slices
+from greenhouse_gym.envs.state import ACTION_STEP
+from greenhouse_gym.motion.goal_options import GoalOptions, goal_options
+from greenhouse_gym.scene import compile_scene
+
+OFFSET, DIRECTION, CLEARANCE = "goal_offset", "goal_direction", "goal_clearance"
+"""Features of a goal configuration, the last ones of a network's input."""
+
+
+def goal_layout(joints: int, probes: int) -> Layout:
+    """Return the layout of the features of a goal configuration."""
+    return (OFFSET, joints), (DIRECTION, joints), (CLEARANCE, probes)
+
+
+def chooses_goals(policy: Policy) -> bool:
+    """Return whether a policy observes a goal configuration that its critic chooses."""
+    return OFFSET in dict(policy.layout)
+
+
+def goal_parts(
+    seen: Any, at: Mapping[str, slice], configuration: Any, clearance: Any, largest: Callable[[Any], Any]
+) -> list[Any]:
+    """Return the parts of a network's input: the observation and the features of a goal configuration.
+
+    Args:
+        seen: (n, size) observations "state", arrays or tensors.
+        at: Slice of each feature in them.
+        configuration: (n, j) goal configurations, radians.
+        clearance: (n, p) `GoalOptions.clearance` of each.
+        largest: Returns the largest absolute values (n, 1) of rows (n, j).
+    """
+    offset = configuration - seen[:, at["joint_position"]] - seen[:, at["command_error"]]  # from the commanded joints
+    return [seen, offset, offset / largest(offset).clip(ACTION_STEP), clearance]
+
+
+def _largest(rows: Any) -> Any:
+    return np.abs(rows).max(axis=1, keepdims=True)
+
+
+class GoalChoosingAgent(NamedAgent):
+    """A learned policy that moves to the goal configuration which its critic values most at the start.
+
+    Where no goal is free, it moves to its start.
+
+    Args:
+        policy: A policy with a critic, whose last features are those of `goal_layout`.
+        name: Name in tables.
+
+    Attributes:
+        env_options: Keywords of `gymnasium.make` for the environment it needs.
+        knows_scene: True: goals are checked for collisions with all shapes of the scan.
+        policy: The network.
+    """
+
+    knows_scene = True
+
+    def __init__(self, policy: Policy, name: str = "policy"):
+        self.name, self.policy = name, policy
+        self.env_options: Mapping[str, Any] = policy.env_options
+        self._at = feature_slices(policy.layout[: -len(goal_layout(0, 0))])
+        self._options = GoalOptions(np.empty((0, 0)), np.empty((0, 0)))
+
+    def reset(self, problem: Problem) -> None:
+        """Find the goals of the episode.
+
+        Raises:
+            InvalidValueError: The policy was trained for another arm.
+        """
+        check_arm(self, problem)
+        found = goal_options(compile_scene(problem.scene, problem.robot), problem.target, problem.start)
+        if not len(found.configurations):
+            room = np.zeros((1, len(problem.robot.probes)))
+            found = GoalOptions(problem.start[None], room)
+        self._options = found
+
+    def act(self, observation: Any) -> Float32:
+        """Return the next action (joints,); the first one of an episode chooses the goal."""
+        if len(self._options.configurations) > 1:
+            best = int(self.policy.value(self._inputs(observation)).argmax())
+            self._options = GoalOptions(*(part[best : best + 1] for part in self._options))
+        return np.asarray(self.policy(self._inputs(observation))[0])
+
+    def _inputs(self, observation: Any) -> Float32:
+        """Return the inputs (k, size) of the network for each goal that is left."""
+        goals, clearance = self._options
+        seen = np.broadcast_to(np.asarray(observation, dtype=np.float64), (len(goals), len(observation)))
+        return np.concatenate(goal_parts(seen, self._at, goals, clearance, _largest), axis=1).astype(np.float32)
+
+
+def load_policy(policy: str | Path) -> PolicyAgent | GoalChoosingAgent:
+    """Load a shipped policy by name, or any policy by its path or the folder of its training, as an agent.
+
+    Raises:
+        UnknownNameError: Neither the name of a shipped policy nor a file.
+        FileFormatError: Its files are missing or damaged.
+    """
+    agent = PolicyAgent.load(policy)
+    return GoalChoosingAgent(agent.policy, agent.name) if chooses_goals(agent.policy) else agent
