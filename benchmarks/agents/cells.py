@@ -22,7 +22,7 @@ import numpy as np
 
 from benchmarks.agents.policies import outcomes, rates_of
 from benchmarks.common import RESULTS, parser, read_entry, write_entry
-from greenhouse_gym.agents import PolicyAgent, ShieldedAgent
+from greenhouse_gym.agents import PolicyAgent, ShieldedAgent, load_policy
 from greenhouse_gym.agents.agent import Agent
 from greenhouse_gym.agents.policy_agent import shipped_policies
 from greenhouse_gym.envs import EnvSettings, make_vec
@@ -56,7 +56,7 @@ def main() -> None:
     a = command.parse_args()
     bank = SceneBank.open("default")
     for kind, cell, given in product(a.kinds, a.cells, a.policies):
-        policy, key = PolicyAgent.load(given), ", ".join([a.split] * (a.split != "test") + [kind, cell])
+        policy, key = load_policy(given), ", ".join([a.split] * (a.split != "test") + [kind, cell])
         about = {"episodes": a.episodes, "bank_sha256": bank.sha256, "policy_sha256": checksum(given)}
         figures = about | read_entry(RESULT, policy.name, about)
         if key not in figures:

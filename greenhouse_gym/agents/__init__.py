@@ -10,6 +10,7 @@ from greenhouse_gym.agents.baselines import RandomAgent, StraightLineAgent, Wayp
 from greenhouse_gym.agents.planner_agent import PlannerAgent
 
 if TYPE_CHECKING:
+    from greenhouse_gym.agents.goal_choice import GoalChoosingAgent, load_policy
     from greenhouse_gym.agents.hybrid import HybridAgent
     from greenhouse_gym.agents.looking import FixedViewsAgent, NextBestViewAgent, RandomViewsAgent
     from greenhouse_gym.agents.named import make_agent
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Agent",
     "FixedViewsAgent",
+    "GoalChoosingAgent",
     "HybridAgent",
     "NextBestViewAgent",
     "PlannerAgent",
@@ -31,6 +33,7 @@ __all__ = [
     "StraightLineAgent",
     "WatchfulAgent",
     "WaypointAgent",
+    "load_policy",
     "make_agent",
 ]
 
@@ -38,12 +41,14 @@ __all__ = [
 # imported on first use, because their dependencies take long to import
 _LAZY = {
     "FixedViewsAgent": "looking",
+    "GoalChoosingAgent": "goal_choice",
     "HybridAgent": "hybrid",
     "NextBestViewAgent": "looking",
     "PolicyAgent": "policy_agent",
     "RandomViewsAgent": "looking",
     "ShieldedAgent": "shield",
     "WatchfulAgent": "watchful",
+    "load_policy": "goal_choice",
     "make_agent": "named",
 }
 

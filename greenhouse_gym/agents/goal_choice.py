@@ -14,9 +14,10 @@ import numpy as np
 
 from greenhouse_gym.agents.agent import NamedAgent, Problem
 from greenhouse_gym.agents.policy import Float32, Policy
-from greenhouse_gym.agents.policy_agent import PolicyAgent, check_arm
+from greenhouse_gym.agents.policy_agent import PolicyAgent, check_arm, read_policy
 from greenhouse_gym.envs.features import Layout, feature_slices
 from greenhouse_gym.envs.state import ACTION_STEP
+from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.motion.goal_options import GoalOptions, goal_options
 from greenhouse_gym.scene import compile_scene
 
@@ -63,6 +64,9 @@ class GoalChoosingAgent(NamedAgent):
         policy: A policy with a critic, whose last features are those of `goal_layout`.
         name: Name in tables.
 
+    Raises:
+        InvalidValueError: The policy has no critic, or observes no goal.
+
     Attributes:
         env_options: Keywords of `gymnasium.make` for the environment it needs.
         knows_scene: True: goals are checked for collisions with all shapes of the scan.
@@ -72,6 +76,8 @@ class GoalChoosingAgent(NamedAgent):
     knows_scene = True
 
     def __init__(self, policy: Policy, name: str = "policy"):
+        if not (chooses_goals(policy) and policy.value_weights):
+            raise InvalidValueError(f"policy {name!r} observes no goal configuration, or has no critic to choose it")
         self.name, self.policy = name, policy
         self.env_options: Mapping[str, Any] = policy.env_options
         self._at = feature_slices(policy.layout[: -len(goal_layout(0, 0))])
@@ -93,12 +99,12 @@ class GoalChoosingAgent(NamedAgent):
     def act(self, observation: Any) -> Float32:
         """Return the next action (joints,); the first one of an episode chooses the goal."""
         if len(self._options.configurations) > 1:
-            best = int(self.policy.value(self._inputs(observation)).argmax())
+            best = int(self.policy.value(self.network_input(observation)).argmax())
             self._options = GoalOptions(*(part[best : best + 1] for part in self._options))
-        return np.asarray(self.policy(self._inputs(observation))[0])
+        return np.asarray(self.policy(self.network_input(observation))[0])
 
-    def _inputs(self, observation: Any) -> Float32:
-        """Return the inputs (k, size) of the network for each goal that is left."""
+    def network_input(self, observation: Any) -> Float32:
+        """Return the inputs (k, size) of the network for each goal that is left: one after the first action."""
         goals, clearance = self._options
         seen = np.broadcast_to(np.asarray(observation, dtype=np.float64), (len(goals), len(observation)))
         return np.concatenate(goal_parts(seen, self._at, goals, clearance, _largest), axis=1).astype(np.float32)
@@ -111,5 +117,5 @@ def load_policy(policy: str | Path) -> PolicyAgent | GoalChoosingAgent:
         UnknownNameError: Neither the name of a shipped policy nor a file.
         FileFormatError: Its files are missing or damaged.
     """
-    agent = PolicyAgent.load(policy)
-    return GoalChoosingAgent(agent.policy, agent.name) if chooses_goals(agent.policy) else agent
+    network, name = read_policy(policy)
+    return GoalChoosingAgent(network, name) if chooses_goals(network) else PolicyAgent(network, name)

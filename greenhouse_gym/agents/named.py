@@ -10,6 +10,7 @@ from typing import Any
 
 from greenhouse_gym.agents.agent import Agent, check_agent
 from greenhouse_gym.agents.baselines import RandomAgent, StraightLineAgent, WaypointAgent
+from greenhouse_gym.agents.goal_choice import load_policy
 from greenhouse_gym.agents.harvest.harvester import OracleHarvester
 from greenhouse_gym.agents.harvest.scan_harvester import ScanHarvester
 from greenhouse_gym.agents.harvest.truss_cutter import TrussCutter
@@ -17,7 +18,7 @@ from greenhouse_gym.agents.hybrid import HybridAgent
 from greenhouse_gym.agents.looking import FixedViewsAgent, NextBestViewAgent, RandomViewsAgent
 from greenhouse_gym.agents.planner_agent import PlannerAgent
 from greenhouse_gym.agents.policy import description_path
-from greenhouse_gym.agents.policy_agent import PolicyAgent, shipped_policies
+from greenhouse_gym.agents.policy_agent import shipped_policies
 from greenhouse_gym.agents.shield import ShieldedAgent
 from greenhouse_gym.agents.watchful import WatchfulAgent
 from greenhouse_gym.common.own_code import load_own, make
@@ -85,12 +86,12 @@ def make_agent(name: str) -> Agent:
         return agent  # type: ignore[no-any-return]
     shielded = name.removeprefix(_SHIELDED)
     if shielded != name and shielded in shipped_policies():
-        return ShieldedAgent(PolicyAgent.load(shielded), name)
+        return ShieldedAgent(load_policy(shielded), name)
     if name in shipped_policies() or description_path(name).is_file():
-        return PolicyAgent.load(name)
+        return load_policy(name)
     if training := _training(Path(name)):
         if description_path(training / "policy").is_file():
-            return PolicyAgent.load(training)
+            return load_policy(training)
         # by name, because that package imports this one
         load: Callable[[Path], Agent] = resolve_name("greenhouse_gym.learning:TrainedAgent")
         return load(training)

@@ -122,7 +122,7 @@ class Policy:
             InvalidValueError: The policy has no critic, or the observations have another size.
         """
         if not self.value_weights:
-            raise InvalidValueError("this policy has no critic, so it cannot tell the value of an observation")
+            raise InvalidValueError("this policy has no critic to value observations")
         return self._network(observations, self.value_weights, self.value_biases)[..., 0]
 
     def _network(

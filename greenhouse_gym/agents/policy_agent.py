@@ -39,6 +39,10 @@ class PolicyAgent(NamedAgent):
 
     def __init__(self, policy: Policy, name: str = "policy"):
         self.name = name
+        if policy.value_weights:
+            raise InvalidValueError(
+                f"policy {name!r} chooses goals by its critic, so it is a GoalChoosingAgent; load it with `load_policy`"
+            )
         self.policy = policy
         self.env_options: Mapping[str, Any] = policy.env_options
         self.knows_scene = self.env_options.get("observation") in _WITH_PLAN
@@ -50,15 +54,9 @@ class PolicyAgent(NamedAgent):
         Raises:
             UnknownNameError: Neither the name of a shipped policy nor a file.
             FileFormatError: Its files are missing or damaged.
+            InvalidValueError: The policy chooses goals, see `greenhouse_gym.agents.GoalChoosingAgent`.
         """
-        shipped = shipped_policies()
-        path, training = shipped.get(str(policy)) or description_path(policy), Path(policy)
-        if path.is_file():
-            return cls(Policy.load(path), name=path.stem)
-        if description_path(training / "policy").is_file():
-            return cls(Policy.load(training / "policy"), name=training.resolve().name)
-        choices = [*shipped, "(or the path of a policy's files, or a training's folder)"]
-        raise UnknownNameError("policy", str(policy), choices)
+        return cls(*read_policy(policy))
 
     def reset(self, problem: Problem) -> None:
         """Check the arm; the network has no memory.
@@ -85,6 +83,23 @@ class PolicyAgent(NamedAgent):
             return goal_vector(observation, layout)
         vector: npt.ArrayLike = observation
         return vector
+
+
+def read_policy(policy: str | Path) -> tuple[Policy, str]:
+    """Return a policy and its name, given a shipped one's name, a path or the folder of a training.
+
+    Raises:
+        UnknownNameError: Neither the name of a shipped policy nor a file.
+        FileFormatError: Its files are missing or damaged.
+    """
+    shipped = shipped_policies()
+    path, training = shipped.get(str(policy)) or description_path(policy), Path(policy)
+    if path.is_file():
+        return Policy.load(path), path.stem
+    if description_path(training / "policy").is_file():
+        return Policy.load(training / "policy"), training.resolve().name
+    choices = [*shipped, "(or the path of a policy's files, or a training's folder)"]
+    raise UnknownNameError("policy", str(policy), choices)
 
 
 def check_arm(agent: Agent, problem: Problem) -> None:

@@ -116,11 +116,11 @@ def export_policy(
     out: Annotated[Path, typer.Option(help="ONNX file to write.")] = Path("policy.onnx"),
 ) -> None:
     """Write a policy as one ONNX file: observation in, action out, for runtimes without this package."""
-    from greenhouse_gym.agents import PolicyAgent
+    from greenhouse_gym.agents import load_policy
     from greenhouse_gym.common.extras import require_extras
     from greenhouse_gym.export import onnx_model
 
     require_extras("onnx")
-    agent = PolicyAgent.load(policy)
+    agent = load_policy(policy)
     onnx_model.export_policy(agent.policy, out, agent.name)
     say(f"{agent.name} in {out}")

@@ -159,10 +159,10 @@ def agent_table() -> Table:
 
 def policy_table() -> Table:
     """Return the shipped policies, with the arm and the observation that they need."""
-    from greenhouse_gym.agents import PolicyAgent
+    from greenhouse_gym.agents import load_policy
     from greenhouse_gym.agents.policy_agent import shipped_policies
 
-    needs = {name: PolicyAgent.load(name).env_options for name in shipped_policies()}
+    needs = {name: load_policy(name).env_options for name in shipped_policies()}
     rows = [(name, *(str(options.get(key, "")) for key in ("robot", "observation"))) for name, options in needs.items()]
     return Table(("policy", "arm", "observation"), rows, words=(0, 1, 2))
 

@@ -43,9 +43,7 @@ class GoalChoices:
         robot: Robot = simulation.robot
         self._at, self._count = feature_slices(observed), count
         self.layout: Layout = (*observed, *goal_layout(len(robot.joints), len(robot.probes)))
-        row_of = {
-            (int(s), int(k)): row for row, (s, k) in enumerate(zip(arrays.scene, arrays.tomato, strict=True))
-        }
+        row_of = {(int(s), int(k)): row for row, (s, k) in enumerate(zip(arrays.scene, arrays.tomato, strict=True))}
         goals = np.broadcast_to(robot.start, (len(row_of), count, len(robot.joints))).astype(np.float32)
         room = np.zeros((len(row_of), count, len(robot.probes)), dtype=np.float32)
         scenes: list[Scene] = simulation.bank.scenes

@@ -13,6 +13,7 @@ import pytest
 pytest.importorskip("safetensors")
 
 from greenhouse_gym.agents.agent import Agent, Problem
+from greenhouse_gym.agents.goal_choice import load_policy
 from greenhouse_gym.agents.goal_features import flaw_of
 from greenhouse_gym.agents.policy import Policy
 from greenhouse_gym.agents.policy_agent import BEST, PolicyAgent, shipped_policies
@@ -153,7 +154,7 @@ def test_what_a_file_cannot_hold_is_not_written(policy: Policy, tmp_path: Path) 
 def test_shipped_policies_load_and_say_what_they_were_trained_on() -> None:
     assert {"ppo-ur5e", "ppo-roadmap-scratch-ur5e", BEST} <= set(shipped_policies())
     for name in shipped_policies():
-        agent = PolicyAgent.load(name)
+        agent = load_policy(name)
         assert agent.env_options["observation"] in ("state", "roadmap", "goal_roadmap")
         assert agent.policy.training["settings"].get("split", "train") == "train"
 

@@ -17,6 +17,7 @@ pytest.importorskip("onnxruntime")
 
 import onnxruntime
 
+from greenhouse_gym.agents import GoalChoosingAgent, Problem, load_policy
 from greenhouse_gym.agents.policy import Policy
 from greenhouse_gym.agents.policy_agent import PolicyAgent, shipped_policies
 from greenhouse_gym.cli import app
@@ -74,19 +75,26 @@ def test_the_model_acts_as_the_policy_does(policy: Policy) -> None:
         assert not same(Policy(**{**vars(policy), "activation": other}), runtime, many)
 
 
+def one_input(agent: PolicyAgent | GoalChoosingAgent, observation: Any) -> Any:
+    """Return the input of an agent's network; that of its first goal if it has still to choose one."""
+    seen = agent.network_input(observation)
+    return seen[0] if isinstance(agent, GoalChoosingAgent) else seen
+
+
 @pytest.mark.parametrize("name", shipped_policies())
 def test_a_shipped_policy_acts_alike_in_an_episode(name: str, bank: SceneBank, tmp_path: Path) -> None:
-    agent = PolicyAgent.load(name)
+    agent = load_policy(name)
     out = tmp_path / "deep" / "p.onnx"
     assert CliRunner().invoke(app, ["policy", "export", name, "--out", str(out)]).exit_code == 0
     runtime = session(str(out))
     rows = "mini" if "task" in agent.env_options else bank  # a harvest needs true plants
     env = gymnasium.make("TomatoReach-v0", bank=rows, **agent.env_options)
     observation, _ = env.reset(seed=1)
-    seen, over = [agent.network_input(observation)], False
+    agent.reset(Problem.of(env.unwrapped.simulation, 0, 1))
+    seen, over = [one_input(agent, observation)], False
     while not over and len(seen) < 64:
         observation, _, terminated, truncated, _ = env.step(agent.act(observation))
-        seen.append(agent.network_input(observation))
+        seen.append(one_input(agent, observation))
         over = terminated or truncated
     env.close()
     assert len(seen) > 5

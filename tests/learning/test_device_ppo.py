@@ -10,14 +10,17 @@ import pytest
 pytest.importorskip("warp")
 pytest.importorskip("torch")
 
+from greenhouse_gym.agents import load_policy
 from greenhouse_gym.agents.policy_agent import PolicyAgent
 from greenhouse_gym.common.files import exclusive
+from greenhouse_gym.envs.features import feature_slices
 from greenhouse_gym.errors import DivergedError, FileWriteError, InvalidValueError
 from greenhouse_gym.evaluation import evaluate
 from greenhouse_gym.learning import DevicePpoSettings, PpoSettings, device_training, train_ppo, train_ppo_on_device
 from greenhouse_gym.learning.device_ppo import DevicePpo
 from greenhouse_gym.learning.training_files import CURVE, read_curve
-from greenhouse_gym.scene import SceneBank
+from greenhouse_gym.motion.goal_options import goal_options
+from greenhouse_gym.scene import SceneBank, compile_scene
 
 SMALL = DevicePpoSettings(
     bank="mini", num_envs=32, rollout_steps=16, minibatches=4, epochs=2, total_steps=2048, hidden=(32, 32)
@@ -99,3 +102,50 @@ def test_sizes_follow_the_device_and_sources_choose_the_rows():
     bank = training.env.simulation.sampler.bank
     assert {entry.source for entry in bank.manifest.scenes} == {"own"}
     assert training.policy().training["bank_sha256"] == SceneBank.open("mini").sha256
+
+
+GOALS = replace(SMALL, action="joint", goals=3, log_std=-1.0)
+
+
+def test_policies_that_choose_goals_begin_by_moving_straight_and_learn(tmp_path):
+    training = DevicePpo(GOALS)
+    policy = training.policy()
+    at = feature_slices(policy.layout)["goal_direction"]
+    seen = training._observation.numpy()
+    np.testing.assert_allclose(policy(seen), seen[:, at], atol=0.2)
+    assert np.corrcoef(policy(seen).ravel(), seen[:, at].ravel())[0, 1] > 0.99
+    weights = []
+    for _ in range(2):
+        training = DevicePpo(GOALS)
+        training.iterate(1.0)
+        weights.append(training.policy())
+    assert all(np.array_equal(a, b) for a, b in zip(weights[0].weights, weights[1].weights, strict=True))
+    assert not np.array_equal(weights[0].value_weights[0], policy.value_weights[0])
+    agent = load_policy(weights[0].save(tmp_path / "p"))
+    assert len(evaluate(agent, "test", 2, bank="mini", progress=False).records) == 2
+
+
+def test_goals_on_the_device_are_those_of_the_agent():
+    training = DevicePpo(GOALS)
+    env, choices = training.env, training._choices
+    bank = env.simulation.bank
+    rows = env.target_rows.numpy()
+    seen = training._observation.numpy()
+    at = feature_slices(choices.layout)
+    for i in range(4):
+        scene, target = bank.scenes[bank.arrays.scene[rows[i]]], int(bank.arrays.tomato[rows[i]])
+        found = goal_options(compile_scene(scene), target, env.simulation.robot.start)
+        goal = seen[i, at["goal_offset"]] + seen[i, at["joint_position"]] + seen[i, at["command_error"]]
+        nearest = np.abs(found.configurations - goal).max(axis=1)
+        assert nearest.min() < 1e-5
+        np.testing.assert_allclose(seen[i, at["goal_clearance"]], found.clearance[nearest.argmin()], atol=1e-6)
+    held = choices._goal.clone()
+    training.iterate(1.0)
+    changed = (choices._goal != held).any(1).numpy()
+    assert 0 < changed.sum() < len(changed), "a goal changes with the episode, and not before"
+
+
+@pytest.mark.parametrize("wrong", [{"action": "tip_velocity"}, {"device": "cuda"}, {"goals": -1}])
+def test_goals_need_joint_actions_and_a_cpu(wrong):
+    with pytest.raises(InvalidValueError, match="goals"):
+        replace(GOALS, **wrong)
