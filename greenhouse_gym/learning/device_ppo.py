@@ -16,7 +16,7 @@ from greenhouse_gym.common.extras import needs
 from greenhouse_gym.envs.choices import step_limit_of
 from greenhouse_gym.envs.rewards import DenseReward
 from greenhouse_gym.envs.settings import EnvSettings
-from greenhouse_gym.errors import DivergedError
+from greenhouse_gym.errors import DivergedError, InvalidValueError
 from greenhouse_gym.learning.settings import DevicePpoSettings
 from greenhouse_gym.scene import SceneBank
 
@@ -37,6 +37,9 @@ class DevicePpo:
     Args:
         settings: The settings.
 
+    Raises:
+        InvalidValueError: Goals are asked for with other actions than "joint", or on a GPU.
+
     Attributes:
         env: The environment, which returns tensors.
         steps: Environment steps so far.
@@ -46,6 +49,10 @@ class DevicePpo:
     def __init__(self, settings: DevicePpoSettings):
         from greenhouse_gym.envs.warp import WarpVectorEnv
 
+        if settings.goals and (settings.action, settings.device) != ("joint", "cpu"):
+            raise InvalidValueError(
+                f'goals need action="joint" and device="cpu", got {settings.action!r} and {settings.device!r}'
+            )
         self.settings, self.steps, self.learning_rate = settings, 0, settings.learning_rate
         self._caution = 1.0  # factor of the learning rate that follows the divergence
         torch.manual_seed(settings.seed)

@@ -171,10 +171,7 @@ class DevicePpoSettings:
         sizes = (512, 32, 2, (128, 128)) if self.device == "cpu" else (4096, 24, 4, (256, 256))
         for name, size in zip(("num_envs", "rollout_steps", "epochs", "hidden"), sizes, strict=True):
             object.__setattr__(self, name, getattr(self, name) or size)
-        if check_whole("goals", self.goals, 0) and (self.action, self.device) != ("joint", "cpu"):
-            raise InvalidValueError(
-                f'goals need action="joint" and device="cpu", got {self.action!r} and {self.device!r}'
-            )
+        check_whole("goals", self.goals, 0)
 
 
 @dataclass(frozen=True)

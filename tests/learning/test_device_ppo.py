@@ -148,4 +148,4 @@ def test_goals_on_the_device_are_those_of_the_agent():
 @pytest.mark.parametrize("wrong", [{"action": "tip_velocity"}, {"device": "cuda"}, {"goals": -1}])
 def test_goals_need_joint_actions_and_a_cpu(wrong):
     with pytest.raises(InvalidValueError, match="goals"):
-        replace(GOALS, **wrong)
+        DevicePpo(replace(GOALS, **wrong))
