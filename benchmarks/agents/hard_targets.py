@@ -13,7 +13,7 @@ from dataclasses import asdict
 
 from benchmarks.agents.cells import SEED
 from benchmarks.common import RESULTS, parser, rate, write_entry
-from greenhouse_gym.agents import PlannerAgent, PolicyAgent, ShieldedAgent
+from greenhouse_gym.agents import PlannerAgent, ShieldedAgent, load_policy
 from greenhouse_gym.evaluation import evaluate
 from greenhouse_gym.evaluation.records import pairing
 from greenhouse_gym.scene import SceneBank
@@ -30,7 +30,7 @@ def main() -> None:
     world = {"difficulty": "hard", "num_envs": 16, "threads": 1}
     planner = PlannerAgent("RRTConnect", max_checks=CHECKS, attempts=1, unknown="free", fallback=False)
     sampled = evaluate(planner, "test", a.episodes, SEED, **world)
-    policy = PolicyAgent.load(a.policy)
+    policy = load_policy(a.policy)
     for name, agent in ((a.policy, policy), (f"{a.policy} behind the shield", ShieldedAgent(policy))):
         learned = evaluate(agent, "test", a.episodes, SEED, **world)
         wins = sum(r.success for r in learned.records), sum(r.success for r in sampled.records)

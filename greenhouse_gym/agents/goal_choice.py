@@ -6,49 +6,20 @@ observes the offset to its goal, the room around the arm there, and what every p
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from greenhouse_gym.agents.agent import NamedAgent, Problem
+from greenhouse_gym.agents.goal_inputs import flaw_of, goal_layout, goal_parts, observes_goal
 from greenhouse_gym.agents.policy import Float32, Policy
 from greenhouse_gym.agents.policy_agent import PolicyAgent, check_arm, read_policy
-from greenhouse_gym.envs.features import Layout, feature_slices
-from greenhouse_gym.envs.state import ACTION_STEP
+from greenhouse_gym.envs.features import feature_slices
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.motion.goal_options import GoalOptions, goal_options
 from greenhouse_gym.scene import compile_scene
-
-OFFSET, DIRECTION, CLEARANCE = "goal_offset", "goal_direction", "goal_clearance"
-"""Features of a goal configuration, the last ones of a network's input."""
-
-
-def goal_layout(joints: int, probes: int) -> Layout:
-    """Return the layout of the features of a goal configuration."""
-    return (OFFSET, joints), (DIRECTION, joints), (CLEARANCE, probes)
-
-
-def chooses_goals(policy: Policy) -> bool:
-    """Return whether a policy observes a goal configuration that its critic chooses."""
-    return OFFSET in dict(policy.layout)
-
-
-def goal_parts(
-    seen: Any, at: Mapping[str, slice], configuration: Any, clearance: Any, largest: Callable[[Any], Any]
-) -> list[Any]:
-    """Return the parts of a network's input: the observation and the features of a goal configuration.
-
-    Args:
-        seen: (n, size) observations "state", arrays or tensors.
-        at: Slice of each feature in them.
-        configuration: (n, j) goal configurations, radians.
-        clearance: (n, p) `GoalOptions.clearance` of each.
-        largest: Returns the largest absolute values (n, 1) of rows (n, j).
-    """
-    offset = configuration - seen[:, at["joint_position"]] - seen[:, at["command_error"]]  # from the commanded joints
-    return [seen, offset, offset / largest(offset).clip(ACTION_STEP), clearance]
 
 
 def _largest(rows: Any) -> Any:
@@ -65,7 +36,7 @@ class GoalChoosingAgent(NamedAgent):
         name: Name in tables.
 
     Raises:
-        InvalidValueError: The policy has no critic, or observes no goal.
+        InvalidValueError: The policy has no critic, or does not observe a goal as it should.
 
     Attributes:
         env_options: Keywords of `gymnasium.make` for the environment it needs.
@@ -76,8 +47,10 @@ class GoalChoosingAgent(NamedAgent):
     knows_scene = True
 
     def __init__(self, policy: Policy, name: str = "policy"):
-        if not (chooses_goals(policy) and policy.value_weights):
-            raise InvalidValueError(f"policy {name!r} observes no goal configuration, or has no critic to choose it")
+        if not observes_goal(policy.layout):
+            raise InvalidValueError(f"policy {name!r} observes no goal configuration; load it with `load_policy`")
+        if flaw := flaw_of(policy.layout, bool(policy.value_weights)):
+            raise InvalidValueError(f"policy {name!r} cannot choose goals: {flaw}")
         self.name, self.policy = name, policy
         self.env_options: Mapping[str, Any] = policy.env_options
         self._at = feature_slices(policy.layout[: -len(goal_layout(0, 0))])
@@ -118,4 +91,4 @@ def load_policy(policy: str | Path) -> PolicyAgent | GoalChoosingAgent:
         FileFormatError: Its files are missing or damaged.
     """
     network, name = read_policy(policy)
-    return GoalChoosingAgent(network, name) if chooses_goals(network) else PolicyAgent(network, name)
+    return GoalChoosingAgent(network, name) if observes_goal(network.layout) else PolicyAgent(network, name)

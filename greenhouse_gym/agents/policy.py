@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PositiveInt, ValidationError
 
-from greenhouse_gym.agents.goal_features import flaw_of
+from greenhouse_gym.agents import goal_features, goal_inputs
 from greenhouse_gym.common.files import first_fault, parsing, read_bytes, write_atomically
 from greenhouse_gym.envs import EnvSettings
 from greenhouse_gym.errors import FileFormatError, InvalidValueError, MissingDependencyError
@@ -227,7 +227,8 @@ def _flaw(arrays: Mapping[str, npt.NDArray[Any]], description: Description) -> s
         return f"the observation_layout has {entries} entries, the network takes {sizes[0]}"
     if critic and (critic[0] != sizes[0] or critic[-1] != 1):
         return f"value_sizes must begin with {sizes[0]} and end with 1, got {critic}"
-    if flaw := flaw_of(tuple(description.observation_layout)):
+    layout = tuple(description.observation_layout)
+    if flaw := goal_features.flaw_of(layout) or goal_inputs.flaw_of(layout, critic is not None):
         return flaw
     shapes: dict[str, tuple[int, ...]] = {"center": (sizes[0],), "scale": (sizes[0],)}
     for prefix, widths in ((_ACTOR, sizes), (_CRITIC, critic or [])):

@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from greenhouse_gym.agents.goal_choice import DIRECTION, goal_layout, goal_parts
+from greenhouse_gym.agents.goal_inputs import DIRECTION, goal_layout, goal_parts
 from greenhouse_gym.common.executors import usable_cores
 from greenhouse_gym.common.extras import needs
 from greenhouse_gym.common.progress import progress
 from greenhouse_gym.envs.features import Layout, feature_slices
+from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.motion.goal_options import goal_options
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import Scene, compile_scene
@@ -90,12 +91,17 @@ def begin_as_straight_line(networks: Networks, layout: Layout) -> None:
     """Let an untrained actor move straight to its goal: two units of each hidden layer pass each joint's direction on.
 
     Args:
-        networks: The networks, with hidden layers of at least two units for each joint.
+        networks: The networks.
         layout: Layout of the observation, with the feature "goal_direction".
+
+    Raises:
+        InvalidValueError: A hidden layer has fewer than two units for each joint.
     """
     at = feature_slices(layout)[DIRECTION]
     layers = [layer for layer in networks.actor if isinstance(layer, nn.Linear)]
-    joints = at.stop - at.start
+    joints, widths = at.stop - at.start, [layer.out_features for layer in layers[:-1]]
+    if min(widths) < 2 * joints:
+        raise InvalidValueError(f"with goals, hidden layers need {2 * joints} units or more, got {widths}")
     identity = torch.eye(joints)
     both = torch.cat([identity, -identity])
     with torch.no_grad():

@@ -38,7 +38,7 @@ class DevicePpo:
         settings: The settings.
 
     Raises:
-        InvalidValueError: Goals are asked for with other actions than "joint", or on a GPU.
+        InvalidValueError: Goals are asked for with other actions than "joint", on a GPU, or with small hidden layers.
 
     Attributes:
         env: The environment, which returns tensors.

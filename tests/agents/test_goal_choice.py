@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -12,7 +13,7 @@ import pytest
 pytest.importorskip("safetensors")
 
 from greenhouse_gym.agents import GoalChoosingAgent, PolicyAgent, Problem, load_policy, make_agent
-from greenhouse_gym.agents.goal_choice import goal_layout
+from greenhouse_gym.agents.goal_inputs import goal_layout
 from greenhouse_gym.agents.policy import Policy
 from greenhouse_gym.crops.parts import Tomato
 from greenhouse_gym.envs.choices import make_observation
@@ -110,6 +111,30 @@ def test_files_keep_the_critic(tmp_path: Path) -> None:
             load_policy(path)
 
 
+@pytest.mark.parametrize(
+    ("changed", "why"),
+    [
+        ({"value_weights": (), "value_biases": ()}, "no critic"),
+        ({"layout": (("all", 93),)}, "no goal configuration"),
+        ({"layout": (("joint_position", 72), *goal_layout(6, 9))}, "end in"),
+        ({"layout": (*goal_layout(6, 9), ("rest", 72))}, "end in"),
+        ({"layout": (("joint_position", 6), ("clearance", 9), ("rest", 57), *goal_layout(6, 9))}, "command_error"),
+    ],
+    ids=["no critic", "no goal", "joints differ", "not at the end", "no command error"],
+)  # fmt: skip
+def test_files_whose_parts_do_not_fit_are_refused(tmp_path: Path, changed: dict[str, Any], why: str) -> None:
+    policy = replace(with_weights([0] * 6), **changed)
+    with pytest.raises(InvalidValueError, match=why):
+        policy.save(tmp_path / "p")
+    assert not list(tmp_path.iterdir())
+    if "layout" in changed:  # as if written by other code
+        path = with_weights([0] * 6).save(tmp_path / "p")
+        content = json.loads(path.read_text())
+        path.write_text(json.dumps(content | {"observation_layout": policy.layout}))
+        with pytest.raises(FileFormatError, match=why):
+            load_policy(path)
+
+
 def test_policies_of_the_other_kind_are_refused() -> None:
     policy = with_weights([0] * 6)
     with pytest.raises(InvalidValueError, match="load_policy"):
@@ -117,6 +142,8 @@ def test_policies_of_the_other_kind_are_refused() -> None:
     plain = replace(policy, value_weights=(), value_biases=())
     with pytest.raises(InvalidValueError, match="no critic"):
         GoalChoosingAgent(plain)
+    with pytest.raises(InvalidValueError, match="observes no goal"):
+        GoalChoosingAgent(load_policy("ppo-ur5e").policy)
     with pytest.raises(InvalidValueError, match="no critic"):
         plain.value(np.zeros((1, len(plain.center))))
     agent, other = GoalChoosingAgent(policy), get_robot("iiwa14")

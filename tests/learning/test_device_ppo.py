@@ -145,7 +145,7 @@ def test_goals_on_the_device_are_those_of_the_agent():
     assert 0 < changed.sum() < len(changed), "a goal changes with the episode, and not before"
 
 
-@pytest.mark.parametrize("wrong", [{"action": "tip_velocity"}, {"device": "cuda"}, {"goals": -1}])
-def test_goals_need_joint_actions_and_a_cpu(wrong):
+@pytest.mark.parametrize("wrong", [{"action": "tip_velocity"}, {"device": "cuda"}, {"goals": -1}, {"hidden": (32, 11)}])
+def test_goals_need_joint_actions_a_cpu_and_wide_layers(wrong):
     with pytest.raises(InvalidValueError, match="goals"):
         DevicePpo(replace(GOALS, **wrong))
