@@ -37,8 +37,9 @@ AGENTS = (
     "watchful",
     "RRTConnect",
     "ppo-roadmap-ur5e",
+    "shielded-ppo-goals-ur5e",
+    "ppo-goals-ur5e",
     "ppo-warp-ur5e",
-    "ppo-ur5e",
     "straight-line",
 )
 TRACKS = ("reconstruction", "truth", "brush")
