@@ -112,7 +112,13 @@ def choice() -> Figure:
             axes.plot([x, x], [100 * e.collision_rate, 100 * e.success_rate], color=color, alpha=0.3)
             axes.plot(x, 100 * e.collision_rate, "x", color=color)
             axes.plot(x, 100 * e.success_rate, "o", color=color)
-            axes.annotate(entry.agent, (x, 100 * e.success_rate), (4, 4), textcoords="offset points", fontsize=7)
+            axes.annotate(
+                entry.agent.removesuffix("-ur5e"),
+                (x, 100 * e.success_rate),
+                (4, 4),
+                textcoords="offset points",
+                fontsize=7,
+            )
         axes.set_xscale("log")
         axes.set_title(title)
         axes.set_xlim(0.5, 2000)
