@@ -152,7 +152,7 @@ def test_what_a_file_cannot_hold_is_not_written(policy: Policy, tmp_path: Path) 
 
 
 def test_shipped_policies_load_and_say_what_they_were_trained_on() -> None:
-    assert {"ppo-ur5e", "ppo-roadmap-scratch-ur5e", BEST} <= set(shipped_policies())
+    assert {"ppo-ur5e", "ppo-goals-ur5e", BEST} <= set(shipped_policies())
     for name in shipped_policies():
         agent = load_policy(name)
         assert agent.env_options["observation"] in ("state", "roadmap", "goal_roadmap")
