@@ -13,8 +13,9 @@ BENCHMARKS := sensing.reconstruction sensing.shapes sensing.paper_figures planni
 demo: $(VENV)/.installed
 	$(BIN)/greenhouse-gym demo --out demo
 
+# a lost process of pytest-xdist ends the run: replacing it leaves 3.8.0 waiting forever
 test: lint
-	$(BIN)/python -m pytest -n 2 --dist loadgroup -m "not slow"
+	$(BIN)/python -m pytest -n 2 --dist loadgroup --max-worker-restart 0 -m "not slow"
 
 # the planning tests with the other OMPL, which cannot be in the same environment
 test-ompl-2:

@@ -76,6 +76,12 @@ def test_a_canceled_piece_of_work_really_ends(cluster: RayExecutor, tmp_path: Pa
     wait_until(lambda: not alive(pid))
 
 
+def test_work_that_ends_while_it_is_canceled_does_no_harm(cluster: RayExecutor) -> None:
+    for _ in range(200):  # Ray aborts the caller within about a hundred if it is told to stop them at once
+        with pytest.raises(FileFormatError):
+            list(completed(spoiled, range(10), cluster))
+
+
 def test_agents_play_the_same_episodes_on_ray(cluster: RayExecutor, bank: SceneBank) -> None:
     here, there = (evaluate(RandomAgent(), episodes=3, bank=bank, executor=e) for e in (None, cluster))
     untimed = {"planning_time": 0.0, "action_time": 0.0}

@@ -9,11 +9,12 @@ import socket
 import sys
 import threading
 from collections.abc import Callable, Iterable
-from concurrent.futures import Executor, Future, InvalidStateError, wait
+from concurrent.futures import Executor, Future, InvalidStateError, ThreadPoolExecutor, wait
 from contextlib import suppress
 from functools import partial
 from importlib import import_module
 from pathlib import Path
+from time import monotonic
 from types import TracebackType
 from typing import Any, TypeVar
 
@@ -27,6 +28,7 @@ Result = TypeVar("Result")
 _TIMEOUT = 5.0  # seconds to wait for an answer from an address
 _LOOK = 10.0  # seconds between two looks at the nodes
 _LOOKS = 3  # in a row without a node for the tasks, after which they are given up
+_GRACE = 1.0  # seconds in which a canceled task may end: Ray aborts this process if one ends while it is being stopped
 _SETTINGS = b"\x04"  # the kind of frame that opens a connection of HTTP/2, which Ray's head speaks
 _GREETING = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes(3) + _SETTINGS + bytes(5)
 
@@ -75,6 +77,7 @@ class RayExecutor(Executor):
         elif address not in ("local", "auto"):
             raise InvalidValueError(f"this process is in a Ray cluster already: leave it before joining {address}")
         self._futures: set[_RayFuture[Any]] = set()
+        self._stops = ThreadPoolExecutor(1, "stop tasks of a Ray cluster")
         self._open, self._closed, self.stranded = True, threading.Event(), ""
         try:
             _check_fits([node for node in self.ray.nodes() if node["Alive"]], cpus, memory)
@@ -95,10 +98,11 @@ class RayExecutor(Executor):
         if not self._open:
             raise RuntimeError("cannot schedule new futures after shutdown")
         reference = self._call.remote(self.message(fn, *args, **kwargs), *self.home())
-        future: _RayFuture[Result] = _RayFuture(self.ray, reference)
+        done: Future[tuple[bool, bytes]] = reference.future()
+        future: _RayFuture[Result] = _RayFuture(partial(self._stop, reference, done))
         self._futures.add(future)
         future.add_done_callback(self._futures.discard)
-        reference.future().add_done_callback(partial(_settle, future))
+        done.add_done_callback(partial(_settle, future))
         return future
 
     def message(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> bytes:
@@ -119,7 +123,7 @@ class RayExecutor(Executor):
 
         Args:
             wait: Whether to wait for scheduled tasks.
-            cancel_futures: Whether to cancel scheduled tasks, running ones included.
+            cancel_futures: Whether to cancel scheduled tasks; running ones are stopped after a second.
         """
         self._open = False
         self._closed.set()
@@ -128,8 +132,20 @@ class RayExecutor(Executor):
                 future.cancel()
         if wait:
             _wait(list(self._futures))
+        self._stops.shutdown(wait)
         if self._owns and self.ray.is_initialized():
             self.ray.shutdown()
+
+    def _stop(self, reference: Any, done: Future[tuple[bool, bytes]]) -> None:
+        with suppress(RuntimeError):  # the executor was shut down, and has stopped its tasks
+            self._stops.submit(self._stop_at, monotonic() + _GRACE, reference, done)
+
+    def _stop_at(self, time: float, reference: Any, done: Future[tuple[bool, bytes]]) -> None:
+        """Stop a task that has not ended by then."""
+        wait([done], max(0.0, time - monotonic()))
+        if not done.done():
+            with suppress(Exception):  # the cluster may be gone
+                self.ray.cancel(reference, force=True)
 
     def _watch(self) -> None:
         """End the tasks that wait for nodes which were lost."""
@@ -158,20 +174,15 @@ class RayExecutor(Executor):
 class _RayFuture(Future[Result]):
     """Future whose cancellation also stops a running task."""
 
-    def __init__(self, ray: Any, reference: Any):
+    def __init__(self, stop: Callable[[], None]):
         super().__init__()
-        self._ray, self._reference = ray, reference
+        self.stop = stop
 
     def cancel(self) -> bool:
         canceled = super().cancel()
         if canceled:
             self.stop()
         return canceled
-
-    def stop(self) -> None:
-        """Stop the task."""
-        with suppress(Exception):  # the cluster may be gone
-            self._ray.cancel(self._reference, force=True)
 
 
 def _wait(futures: Iterable[Future[Any]]) -> None:
