@@ -11,25 +11,29 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from greenhouse_gym.agents.agent import NamedAgent, Problem
-from greenhouse_gym.agents.goal_inputs import flaw_of, goal_layout, goal_parts, observes_goal
+from greenhouse_gym.agents.goal_inputs import flaw_of, goal_input, goal_layout, observes_goal
 from greenhouse_gym.agents.policy import Float32, Policy
 from greenhouse_gym.agents.policy_agent import PolicyAgent, check_arm, read_policy
 from greenhouse_gym.envs.features import feature_slices
 from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.goal_options import GoalOptions, goal_options
 from greenhouse_gym.scene import compile_scene
 
 
-def _largest(rows: Any) -> Any:
-    return np.abs(rows).max(axis=1, keepdims=True)
+PATIENCE, PROGRESS = 20, 0.02
+"""Number of actions without progress, in radians, after which another goal is chosen."""
+
+_POSITION = "joint_position", "command_error"
 
 
 class GoalChoosingAgent(NamedAgent):
     """A learned policy that moves to the goal configuration which its critic values most at the start.
 
-    Where no goal is free, it moves to its start.
+    Where no goal is free, it moves to its start. An arm that is held up, by a shield for example, chooses another goal.
 
     Args:
         policy: A policy with a critic, whose last features are those of `goal_layout`.
@@ -54,7 +58,8 @@ class GoalChoosingAgent(NamedAgent):
         self.name, self.policy = name, policy
         self.env_options: Mapping[str, Any] = policy.env_options
         self._at = feature_slices(policy.layout[: -len(goal_layout(0, 0))])
-        self._options = GoalOptions(np.empty((0, 0)), np.empty((0, 0)))
+        self._found = self._options = GoalOptions(np.empty((0, 0)), np.empty((0, 0)))
+        self._untried, self._nearest, self._since = np.empty(0, dtype=np.int64), np.inf, 0
 
     def reset(self, problem: Problem) -> None:
         """Find the goals of the episode.
@@ -67,20 +72,38 @@ class GoalChoosingAgent(NamedAgent):
         if not len(found.configurations):
             room = np.zeros((1, len(problem.robot.probes)))
             found = GoalOptions(problem.start[None], room)
-        self._options = found
+        self._found = self._options = found
+        self._untried, self._nearest, self._since = np.empty(0, dtype=np.int64), np.inf, PATIENCE
 
     def act(self, observation: Any) -> Float32:
         """Return the next action (joints,); the first one of an episode chooses the goal."""
-        if len(self._options.configurations) > 1:
-            best = int(self.policy.value(self.network_input(observation)).argmax())
-            self._options = GoalOptions(*(part[best : best + 1] for part in self._options))
+        joints, error = (np.asarray(observation[self._at[name]], dtype=np.float64) for name in _POSITION)
+        distance = float(np.abs(self._options.configurations[0] - joints - error).max())
+        if self._since == PATIENCE:
+            if not len(self._untried):
+                self._untried = np.arange(len(self._found.configurations))
+            self._options = self._of(self._untried)
+            chosen = self._choose(observation, joints, joints + error)
+            self._options = self._of(self._untried[chosen : chosen + 1])
+            self._untried = np.delete(self._untried, chosen)
+            self._nearest, self._since = np.inf, 0
+        elif distance < self._nearest - PROGRESS:
+            self._nearest, self._since = distance, 0
+        else:
+            self._since += 1
         return np.asarray(self.policy(self.network_input(observation))[0])
+
+    def _choose(self, observation: Any, joints: Array, command: Array) -> int:
+        """Return the index of the goal to move to among the options."""
+        return int(self.policy.value(self.network_input(observation)).argmax())
+
+    def _of(self, ids: npt.NDArray[np.int64]) -> GoalOptions:
+        return GoalOptions(*(part[ids] for part in self._found))
 
     def network_input(self, observation: Any) -> Float32:
         """Return the inputs (k, size) of the network for each goal that is left: one after the first action."""
         goals, clearance = self._options
-        seen = np.broadcast_to(np.asarray(observation, dtype=np.float64), (len(goals), len(observation)))
-        return np.concatenate(goal_parts(seen, self._at, goals, clearance, _largest), axis=1).astype(np.float32)
+        return goal_input(np.broadcast_to(observation, (len(goals), len(observation))), self._at, goals, clearance)
 
 
 def load_policy(policy: str | Path) -> PolicyAgent | GoalChoosingAgent:

@@ -5,8 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
 from greenhouse_gym.envs.features import Layout
 from greenhouse_gym.envs.state import ACTION_STEP
+from greenhouse_gym.geometry import Array
 
 OFFSET, DIRECTION, CLEARANCE = "goal_offset", "goal_direction", "goal_clearance"
 """Features of a goal configuration, the last ones of a network's input."""
@@ -49,3 +53,13 @@ def goal_parts(
     """
     offset = configuration - seen[:, at["joint_position"]] - seen[:, at["command_error"]]  # from the commanded joints
     return [seen, offset, offset / largest(offset).clip(ACTION_STEP), clearance]
+
+
+def goal_input(seen: Any, at: Mapping[str, slice], configuration: Array, clearance: Array) -> npt.NDArray[np.float32]:
+    """Return the input of a network (n, size + features), as `goal_parts` does, for arrays."""
+    parts = goal_parts(np.asarray(seen, dtype=np.float64), at, configuration, clearance, _largest)
+    return np.concatenate(parts, axis=1).astype(np.float32)
+
+
+def _largest(rows: Array) -> Array:
+    return np.asarray(np.abs(rows).max(axis=1, keepdims=True))
