@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from types import MappingProxyType
 from typing import Any, Protocol, cast, runtime_checkable
 
@@ -29,7 +29,7 @@ from greenhouse_gym.envs.state import STEP_LIMIT, State
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.robots import Robot
-from greenhouse_gym.scene import Scene
+from greenhouse_gym.scene import CompiledScene, Scene, compile_scene
 from greenhouse_gym.scene.plants.layout import Crate
 
 
@@ -83,6 +83,18 @@ class Problem:
             settings.plants, simulation.episode(i).targets,
             None if simulation.task.layout is None else simulation.task.layout.crate,
         )  # fmt: skip
+
+    @cached_property
+    def compiled(self) -> CompiledScene:
+        """The scene with the arm."""
+        return compile_scene(self.scene, self.robot)
+
+    def later(self, known: CompiledScene, start: Array) -> Problem:
+        """Return the problem of an arm that has come to rest at ``start`` in the scene as it is known by now."""
+        assert isinstance(known.scene, Scene)
+        result = replace(self, scene=known.scene, start=start)
+        result.__dict__["compiled"] = known
+        return result
 
     @property
     def action_space(self) -> spaces.Box:

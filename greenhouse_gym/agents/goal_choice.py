@@ -21,8 +21,6 @@ from greenhouse_gym.envs.features import feature_slices
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.goal_options import GoalOptions, goal_options
-from greenhouse_gym.scene import compile_scene
-
 
 PATIENCE, PROGRESS = 20, 0.02
 """Number of actions without progress, in radians, after which another goal is chosen."""
@@ -68,7 +66,7 @@ class GoalChoosingAgent(NamedAgent):
             InvalidValueError: The policy was trained for another arm.
         """
         check_arm(self, problem)
-        found = goal_options(compile_scene(problem.scene, problem.robot), problem.target, problem.start)
+        found = goal_options(problem.compiled, problem.target, problem.start)
         if not len(found.configurations):
             room = np.zeros((1, len(problem.robot.probes)))
             found = GoalOptions(problem.start[None], room)

@@ -35,7 +35,7 @@ SIMPLE: dict[str, Callable[[], Agent]] = {
 }  # fmt: skip
 """Agents by name that are made without arguments."""
 
-_SHIELDED = "shielded-"
+_SHIELDED, _WATCHFUL = "shielded-", f"{WatchfulAgent.name}-"
 _CHECKPOINT = "checkpoint.safetensors"
 _LONGEST_NAME = 1000  # characters; longer paths are errors of the system
 
@@ -87,6 +87,9 @@ def make_agent(name: str) -> Agent:
     shielded = name.removeprefix(_SHIELDED)
     if shielded != name and shielded in shipped_policies():
         return ShieldedAgent(load_policy(shielded), name)
+    rehearsed = name.removeprefix(_WATCHFUL)
+    if rehearsed != name and rehearsed in shipped_policies():
+        return WatchfulAgent(policy=rehearsed)
     if name in shipped_policies() or description_path(name).is_file():
         return load_policy(name)
     if training := _training(Path(name)):
@@ -105,5 +108,5 @@ def make_agent(name: str) -> Agent:
         planners = ()
     if name in planners or name in PAPER_PLANNERS:
         return PlannerAgent(name)  # raises if OMPL is missing
-    own = f"({_SHIELDED}POLICY, a policy's file, a training's folder, file.py:Class or module:Class)"
+    own = f"({_SHIELDED}POLICY, {_WATCHFUL}POLICY, a policy's file, a training's folder, file.py:Class or module:Class)"
     raise UnknownNameError("agent", name, [*SIMPLE, *shipped_policies(), own, *planners])

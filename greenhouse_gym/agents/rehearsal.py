@@ -6,6 +6,7 @@ nothing, the environment's arm would move in the same way; so its motion is chec
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
@@ -44,9 +45,8 @@ def rehearse(agent: Agent, problem: Problem) -> Array | None:
         (t, j) commanded joint positions after each action, radians; None if the target is not reached within the
         episode's steps, or something is touched.
     """
-    known = compile_scene(problem.scene, problem.robot)
-    arm, world = _Arm(problem), _world(known, problem.target)
-    observe = make_observation("state", problem.robot, TomatoReach())
+    arm, world = _Arm(problem), _world(problem)
+    observe: Callable[[State], Any] = make_observation("state", problem.robot, TomatoReach())
     agent.reset(problem)
     joints, commands = [problem.start], [problem.start]
     for _ in range(problem.step_limit):
@@ -58,7 +58,7 @@ def rehearse(agent: Agent, problem: Problem) -> Array | None:
         joints.append(arm.data.qpos.copy())
     else:
         return None
-    checker = search_checker(planning_model(known, problem.target, MARGIN), arm_reaches(problem.robot))
+    checker = search_checker(planning_model(problem.compiled, problem.target, MARGIN), arm_reaches(problem.robot))
     return np.array(commands[1:]) if checker.path_is_free(joints, PROOF) else None
 
 
@@ -76,8 +76,9 @@ class _World(NamedTuple):
     radius: float
 
 
-def _world(known: CompiledScene, target: int) -> _World:
-    scene, base, store = known.scene, arm_pose(known.scene, known.robot), FieldStore()
+def _world(problem: Problem) -> _World:
+    scene, target, store = problem.scene, problem.target, FieldStore()
+    base = arm_pose(scene, problem.robot)
     slot, tomato = store.add(scene.arrays, len(scene.tomatoes), base), scene.tomatoes[target]
     fields = FieldsOfSimulations(store, np.array([slot]), np.array([target]), np.zeros((1, 1, 3)))
     return _World(fields, transform(invert(base), tomato.center[None]), tomato.radius)

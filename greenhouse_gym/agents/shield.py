@@ -18,7 +18,6 @@ from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.collision import MARGIN, PROOF
 from greenhouse_gym.planning import CollisionChecker, planning_model
-from greenhouse_gym.scene import compile_scene
 
 CANDIDATES = 32
 """Number of random alternatives to an action that would collide."""
@@ -61,7 +60,7 @@ class ShieldedAgent(NamedAgent):
     def reset(self, problem: Problem) -> None:
         """Prepare the collision checks."""
         self._agent.reset(problem)
-        robot, compiled = problem.robot, compile_scene(problem.scene, problem.robot)
+        robot, compiled = problem.robot, problem.compiled
         model = planning_model(compiled, problem.target, margin=MARGIN / 2)
         self._problem, self._checker = problem, CollisionChecker(model)
         self._observes = isinstance(problem.rule, TipVelocity)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import partial
 from itertools import islice, pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,9 +13,19 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from greenhouse_gym.agents.agent import JointAgent, Problem, action_towards
+from greenhouse_gym.agents.goal_choice import load_policy
 from greenhouse_gym.agents.local_map import LocalMap
 from greenhouse_gym.agents.occupancy_map import wrist_reading
+from greenhouse_gym.agents.shield import ShieldedAgent
 from greenhouse_gym.agents.viewpoints import DEPTHS, NOISY_DEPTHS, initial_view, viewpoints, visible
+from greenhouse_gym.agents.watchful_paths import (
+    VOXELS,
+    Paths,
+    PlannedPaths,
+    RehearsedPaths,
+    checker_for,
+    compiled_for,
+)
 from greenhouse_gym.envs.image_observations import DepthObservation
 from greenhouse_gym.errors import InvalidValueError, check_flag, check_items
 from greenhouse_gym.geometry import Array
@@ -22,20 +33,11 @@ from greenhouse_gym.motion.arm_spheres import arm_spheres
 from greenhouse_gym.motion.caution import (
     CautionLevel,
     apply_caution,
-    cautious_roadmap,
     check_margin,
-    unexplained_cells,
-    with_unexplained_cells,
 )
-from greenhouse_gym.motion.collision import CollisionChecker, planning_model
-from greenhouse_gym.motion.goals import MAX_BATCHES, MAX_GOALS, GoalSampler, nearest_free_goals
-from greenhouse_gym.motion.joint_reaches import arm_reaches
-from greenhouse_gym.motion.kernel_checker import search_checker
-from greenhouse_gym.motion.roadmap import REACHED, RESOLUTION, ROADMAP_MARGIN
-from greenhouse_gym.motion.unknown_space import guarded
-from greenhouse_gym.planning import plan
+from greenhouse_gym.motion.roadmap import REACHED, RESOLUTION
 from greenhouse_gym.rendering.cameras import DepthCamera
-from greenhouse_gym.scene import CompiledScene, Scene
+from greenhouse_gym.scene import Scene
 
 CAUTION_DEPTHS = (0.1, 0.15, 0.2, float("inf"))
 """Depths in unknown space that are tried in turn, metres. With none at all, no path led to any of 15 tomatoes."""
@@ -47,21 +49,13 @@ EXTRA_PLANS = 4
 """Further plans in which the points that the camera has observed replace the boxes of the scan that it has examined:
 boxes may be larger than the leaves they stand for. In the latter half of them, all unknown space is free."""
 
-VOXELS = (0.01, 0.004)
-"""Sides of the voxels that cover observed points, metres: the next is tried if the roadmap has no path with the one
-before."""
-
-MAX_CHECKS, NUM_GOALS, FREE_PLANS = 30_000, 60, 4
-"""RRTConnect is used where the roadmap has no path: first from the current configuration, then from the start, to which
-the arm goes back the way it came. These are its collision checks, the goals that are sampled for each retry, with
-another seed, once there is nothing left to look at, and the number of last retries in which all unknown space is free.
-"""
+FREE_PLANS = 4
+"""Number of last retries in which all unknown space is free, once there is nothing left to look at."""
 
 DEPTH, IMAGE = 0.05, (128, 96)
 """Preferred depth in unknown space, metres, about a voxel of the occupancy; and width and height of the camera's
 images, pixels. Their rays are 7 mm apart at half a metre: thinner parts may hang unobserved between them."""
 
-_NO_CAUTION = (CautionLevel(0.0, np.inf, unexplained=True), CautionLevel(0.0, np.inf))
 _EVERY = 2  # steps between images
 _MAX_VIEWPOINTS = 60  # whose motions are checked
 _MIN_UNOBSERVED = 6  # points on a path that are worth a look
@@ -87,9 +81,12 @@ class WatchfulAgent(JointAgent):
         depth: Preferred depth in unknown space, metres.
         image: Width and height of its camera's images, pixels.
         noisy: Whether its images have the noise of a D435, as with ``Randomization(depth_noise=True)``.
+        policy: Policy whose motions it rehearses behind the shield instead of planning, as `load_policy` takes it: one
+            with joint actions and the observation "state".
 
     Raises:
-        InvalidValueError: A negative margin or depth, or an image without a width and a height of a pixel or more.
+        InvalidValueError: A negative margin or depth, an image without a width and a height of a pixel or more, or a
+            policy with other actions or another observation.
 
     Attributes:
         env_options: Puts the camera's images into the observation.
@@ -106,6 +103,7 @@ class WatchfulAgent(JointAgent):
         depth: float = DEPTH,
         image: tuple[int, int] = IMAGE,
         noisy: bool = False,
+        policy: str | Path | None = None,
     ) -> None:
         if not (isinstance(depth, int | float | np.floating) and depth >= 0):
             raise InvalidValueError(f"depth must be 0 m or more, got {depth!r}")
@@ -115,6 +113,9 @@ class WatchfulAgent(JointAgent):
         check_flag("unexplained", unexplained)
         check_flag("noisy", noisy)
         self.status = ""
+        self._policy = None if policy is None else _shielded(policy)
+        if policy is not None:
+            self.name = f"{self.name}-{Path(policy).stem}"
         self._levels = caution_levels(check_margin(margin), unexplained, depth)
         self._heed_unexplained, self._noisy = unexplained, noisy
         self.env_options: Mapping[str, Any] = {
@@ -122,6 +123,11 @@ class WatchfulAgent(JointAgent):
         }  # fmt: skip
         self._problem: Problem | None = None
         self._episode: _Episode | None = None
+
+    def _paths(self, problem: Problem) -> Paths:
+        if self._policy is None:
+            return PlannedPaths(problem, self._levels, self._heed_unexplained)
+        return RehearsedPaths(problem, self._levels, self._policy)
 
     def reset(self, problem: Problem) -> None:
         """Forget the last episode."""
@@ -141,8 +147,9 @@ class WatchfulAgent(JointAgent):
             height, width = reading.depth.shape
             camera = DepthCamera(width=width, height=height)
             self._episode = _Episode(
-                self._problem, reading.target, camera, self._levels, self._heed_unexplained, self._noisy
-            )
+                self._problem, reading.target, camera, self._levels, self._paths(self._problem), self._heed_unexplained,
+                self._noisy,
+            )  # fmt: skip
         action = self._episode.act(reading.depth, reading.joints, reading.command)
         self.status = self._episode.status
         return action
@@ -157,10 +164,11 @@ class _Episode:
         target: Array,
         camera: DepthCamera,
         levels: Sequence[CautionLevel],
+        paths: Paths,
         unexplained: bool,
         noisy: bool = False,
     ):
-        self.status, self._levels, self._heed_unexplained = "", levels, unexplained
+        self.status, self._levels, self._paths = "", levels, paths
         self._problem, self._arm = problem, arm_spheres(problem.robot)
         self._map = LocalMap(problem, target, camera, unexplained, noisy)
         self._depths = NOISY_DEPTHS if noisy else DEPTHS
@@ -173,7 +181,7 @@ class _Episode:
     def _initial_path(self, target: Array) -> list[Array]:
         """Return the configuration with the plants in view; empty if the scan has something in the way."""
         problem = self._problem
-        checker = self._checker(self._compiled(problem.scene), 0.0)
+        checker = checker_for(problem, compiled_for(problem, problem.scene), 0.0)
         view = initial_view(self._arm, problem.robot, problem.start, _INITIAL_POINT * target)
         return [view] if checker.motion_is_free(problem.start, view, RESOLUTION) else []
 
@@ -210,7 +218,7 @@ class _Episode:
         if self._stuck:
             return
         self._plans += 1
-        scene, level = self._plan(command)
+        self._path, scene, level = self._paths.find(partial(self._map.scene, command), command, self._trail[::-1])
         self._report(level)
         if self._path:
             unobserved = self._map.unobserved(self._remaining(command))
@@ -232,7 +240,8 @@ class _Episode:
         free = -FREE_PLANS < extra <= 0 or extra > EXTRA_PLANS // 2
         level = self._levels[-1] if free else self._levels[-2]
         scene = self._map.scene(command, VOXELS[-1], boxes=extra <= 0)
-        self._path = self._search(scene, command, NUM_GOALS, self._problem.seed + self._plans, level)
+        seed = self._problem.seed + self._plans
+        self._path = self._paths.find_again(scene, command, self._trail[::-1], seed, level)
         self._report(level)
         self._stuck = not self._path
 
@@ -241,44 +250,11 @@ class _Episode:
         depth = np.inf if self._problem.scene.occupancy is None else level.depth
         self.status = f"{self._plans}, {depth:g}" if self._path else f"{self._plans}, no path"
 
-    def _plan(self, command: Array) -> tuple[Scene, CautionLevel]:
-        """Plan a path to the target; return the scene as it is known and the caution level of the path."""
-        problem = self._problem
-        goals = GoalSampler(self._compiled(problem.scene), problem.target, command)
-        for voxel in VOXELS:
-            scene = self._map.scene(command, voxel)
-            roadmap, level = cautious_roadmap(scene, problem.robot, goals, self._levels)
-            self._path = roadmap.path(command)
-            if self._path:
-                return scene, level
-        checker = self._checker(self._compiled(scene))
-        free = nearest_free_goals(checker, goals, MAX_GOALS, MAX_BATCHES)
-        avoid_surfaces = self._heed_unexplained and bool(unexplained_cells(scene).any())
-        for level in (_NO_CAUTION if avoid_surfaces else _NO_CAUTION[1:]) if len(free) else ():
-            self._path = self._search(scene, command, free, problem.seed, level)
-            if self._path:
-                return scene, level
-        return scene, _NO_CAUTION[-1]
-
-    def _search(self, scene: Scene, command: Array, goals: Array | int, seed: int, level: CautionLevel) -> list[Array]:
-        """Search with RRTConnect for a path to goals (k, j), or to a number of goals that it samples."""
-        problem = self._problem
-        unknown: str | float = "free" if scene.occupancy is None or np.isinf(level.depth) else level.depth
-        known = with_unexplained_cells(scene, problem.robot, command) if level.unexplained else scene
-        for back in ([], self._trail[::-1]):
-            path = plan(
-                known, problem.target, problem.robot, start=back[-1] if back else command, goals=goals, time_limit=None,
-                max_checks=MAX_CHECKS, seed=seed, unknown=unknown, margin=level.margin,
-            ).path  # fmt: skip
-            if path is not None:
-                return [*back, *path[1:]]
-        return []
-
     def _look(self, scene: Scene, command: Array, points: Array) -> None:
         """Go to the viewpoint that shows most of points (k, 3), if a free motion leads to one."""
         robot = self._problem.robot
         self._looks += 1
-        checker = self._checker(apply_caution(scene, robot, command, self._levels[0]))
+        checker = checker_for(self._problem, apply_caution(scene, robot, command, self._levels[0]))
         sees = partial(visible, self._arm, points=points, opaque=self._map.occupied, depths=self._depths)
         found = viewpoints(robot, command, sees, self._rng)
         for viewpoint, seen in islice(found, _MAX_VIEWPOINTS):
@@ -286,13 +262,6 @@ class _Episode:
                 self._path, self._looking = [viewpoint], True
                 self._looked_at = np.concatenate([self._looked_at, points[seen]])
                 return
-
-    def _compiled(self, scene: Scene) -> CompiledScene:
-        """Return a scene in which all unknown space is free; the last ones are cached."""
-        return guarded(scene, self._problem.robot, self._problem.start, np.inf)
-
-    def _checker(self, compiled: CompiledScene, margin: float = ROADMAP_MARGIN) -> CollisionChecker:
-        return search_checker(planning_model(compiled, self._problem.target, margin), arm_reaches(compiled.robot))
 
     def _remaining(self, command: Array) -> Array:
         """Return configurations (m, j) along the rest of the path from a configuration (j,), its end included."""
@@ -303,6 +272,16 @@ class _Episode:
             for (a, b), count in zip(pairwise(corners), counts, strict=True)
         ]
         return np.concatenate([*segments, corners[-1:]])
+
+
+def _shielded(policy: str | Path) -> ShieldedAgent:
+    agent = ShieldedAgent(load_policy(policy))
+    given = tuple(agent.env_options.get(name) for name in ("observation", "action"))
+    if given != ("state", "joint"):
+        raise InvalidValueError(
+            f"only a policy with observation='state' and action='joint' can be rehearsed, {policy} has {given}"
+        )
+    return agent
 
 
 def caution_levels(margin: float, unexplained: bool, depth: float) -> list[CautionLevel]:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import mujoco
 import numpy as np
@@ -23,6 +23,9 @@ from greenhouse_gym.scene.mjcf import CompiledScene, compile_scene
 from greenhouse_gym.scene.occupancy import OCCUPIED, REACH, Cells, boxes_covering, inside_boxes
 
 _UNEXPLAINED = 0.04  # metres from the center of a voxel to the nearest shape, beyond which no shape stands for it
+
+
+Result = TypeVar("Result")
 
 
 class CautionLevel(NamedTuple):
@@ -46,38 +49,47 @@ def apply_caution(scene: Scene, robot: Robot, start: npt.ArrayLike, level: Cauti
     return guarded(scene, robot, start, level.depth)
 
 
-def cautious_roadmap(
-    scene: Scene, robot: Robot, goals: GoalSampler, levels: Sequence[CautionLevel]
-) -> tuple[Roadmap, CautionLevel]:
-    """Return the roadmap of the highest caution level that connects start and target.
+def at_highest_level(
+    search: Callable[[CautionLevel], Result],
+    succeeds: Callable[[Result], bool],
+    scene: Scene,
+    levels: Sequence[CautionLevel],
+) -> tuple[Result, CautionLevel]:
+    """Search at several caution levels; return the result of the highest one that succeeds, and that level.
 
     Args:
+        search: Searches at a level.
+        succeeds: Whether a result is a success.
         scene: The scene as it is known by now.
-        robot: The arm.
-        goals: Samples goals near the arm's current configuration.
         levels: Levels to try, the most cautious first; the last should be the least cautious. In a scene without
             occupancy, all of them treat unknown space as free.
 
     Returns:
-        The roadmap and its level. If even the last level does not connect them, its roadmap; the levels in between are
-        then not searched.
+        Result and level. If even the last level does not succeed, its result; the levels in between are then not tried.
     """
-
-    def search(level: CautionLevel) -> tuple[Roadmap, CautionLevel]:
-        return SceneRoadmaps(apply_caution(scene, robot, goals.start, level)).roadmap(goals), level
-
     if scene.occupancy is None:
         levels = [level._replace(depth=np.inf) for level in levels]
     if not unexplained_cells(scene).any():
         levels = [level._replace(unexplained=False) for level in levels]
     first, *more = dict.fromkeys(levels)
-    found = search(first)
-    if found[0].nodes.connected or not more:
+    found = search(first), first
+    if succeeds(found[0]) or not more:
         return found
-    last = search(more[-1])
-    if not last[0].nodes.connected:
+    last = search(more[-1]), more[-1]
+    if not succeeds(last[0]):
         return last
-    return next((each for each in map(search, more[:-1]) if each[0].nodes.connected), last)
+    return next((each for each in ((search(level), level) for level in more[:-1]) if succeeds(each[0])), last)
+
+
+def cautious_roadmap(
+    scene: Scene, robot: Robot, goals: GoalSampler, levels: Sequence[CautionLevel]
+) -> tuple[Roadmap, CautionLevel]:
+    """Return the roadmap of the highest caution level that connects start and target, see `at_highest_level`."""
+
+    def search(level: CautionLevel) -> Roadmap:
+        return SceneRoadmaps(apply_caution(scene, robot, goals.start, level)).roadmap(goals)
+
+    return at_highest_level(search, lambda roadmap: roadmap.nodes.connected, scene, levels)
 
 
 def with_margin(scene: Scene, robot: Robot, start: npt.ArrayLike, margin: float, leaves: str = LEAVES[0]) -> Scene:

@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 from occupancy_helpers import known_where, with_surface_at
 
-from greenhouse_gym.agents import Problem, watchful
+from greenhouse_gym.agents import Problem, watchful, watchful_paths
 from greenhouse_gym.agents.agent import Agent
 from greenhouse_gym.agents.local_map import CLEARANCE, LocalMap
 from greenhouse_gym.agents.occupancy_map import wrist_camera
 from greenhouse_gym.agents.planner_agent import PathFollower
 from greenhouse_gym.agents.viewpoints import DEPTHS, MIN_GAIN, OpaqueCells, initial_view, viewpoints, visible
 from greenhouse_gym.agents.watchful import CAUTION_DEPTHS, WatchfulAgent, caution_levels
+from greenhouse_gym.agents.watchful_paths import PlannedPaths
 from greenhouse_gym.envs import GreenhouseEnv
 from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.evaluation import evaluate
@@ -154,16 +155,15 @@ def test_surfaces_without_a_shape_are_left_out_of_account_at_last(margin: float)
 
 def planned_way(scene: Scene, margin: float) -> list[np.ndarray]:
     """The configurations (j,) of the way that the agent finds at first."""
-    episode = watchful._Episode(
-        Problem(scene, TARGET, ARM, START),
-        scene.tomatoes[TARGET].center,
-        CAMERA,
-        caution_levels(margin, unexplained=False, depth=0.1),
-        False,
-    )
-    level = episode._plan(START)[1]
-    assert level == CautionLevel(margin, np.inf), "the scene does not say what was seen of it"
-    return [START, *episode._path]
+    levels = caution_levels(margin, unexplained=False, depth=0.1)
+    found = PlannedPaths(Problem(scene, TARGET, ARM, START), levels, False).find(lambda voxel: scene, START, [])
+    assert found.level == CautionLevel(margin, np.inf), "the scene does not say what was seen of it"
+    return [START, *found.path]
+
+
+def episode_of(scene: Scene, target: np.ndarray, seed: int = 0) -> watchful._Episode:
+    problem = Problem(scene, TARGET, ARM, START, seed)
+    return watchful._Episode(problem, target, CAMERA, LEVELS, PlannedPaths(problem, LEVELS, False), False)
 
 
 def keeps(way: list[np.ndarray], scene: Scene, margin: float) -> bool:
@@ -195,7 +195,7 @@ def test_where_nothing_else_leads_on_it_goes_back_as_it_came(scene: Scene, monke
         return PlanResult("solved" if found else "approximate", path, "RRTConnect")
 
     monkeypatch.setattr(Roadmap, "path", lambda roadmap, joints: [])
-    monkeypatch.setattr(watchful, "plan", planned)
+    monkeypatch.setattr(watchful_paths, "plan", planned)
     monkeypatch.setattr(watchful, "MAX_LOOKS", 0)
     env = GreenhouseEnv(bank="mini", start="upright", **WatchfulAgent().env_options)
     observation, _ = env.reset(options={"scene": scene, "target": TARGET})
@@ -230,14 +230,12 @@ def test_where_it_would_stay_it_asks_again_but_not_for_ever(scene: Scene, monkey
         )
 
     monkeypatch.setattr(Roadmap, "path", lambda roadmap, joints: [])
-    monkeypatch.setattr(watchful, "plan", planned)
+    monkeypatch.setattr(watchful_paths, "plan", planned)
     monkeypatch.setattr(watchful, "MAX_LOOKS", 0)
     image = np.zeros((48, 64), dtype=np.float32)
     for finds in (True, False):
         asked.clear()
-        episode = watchful._Episode(
-            Problem(told, TARGET, ARM, START, 40), scene.tomatoes[TARGET].center, CAMERA, LEVELS, False
-        )
+        episode = episode_of(told, scene.tomatoes[TARGET].center, seed=40)
         episode._path = []
         acted = [episode.act(image, START, START) for _ in range(watchful.MAX_PLANS + watchful.EXTRA_PLANS + 3)]
         first, again = asked[:2], asked[2:]
@@ -290,9 +288,7 @@ def test_the_camera_stands_for_boxes_that_it_has_looked_at_and_for_no_others(sce
 
 
 def test_what_it_went_back_on_is_forgotten(scene: Scene) -> None:
-    episode = watchful._Episode(
-        Problem(scene, TARGET, ARM, START), scene.tomatoes[TARGET].center, CAMERA, LEVELS, False
-    )
+    episode = episode_of(scene, scene.tomatoes[TARGET].center)
     start, there, farther = START, START + 0.1, START + 0.2
     episode._trail = [start]
     for place in (there, farther, there, start, farther):
