@@ -69,8 +69,10 @@ def main() -> None:
         with kept_or_temporary(a.policies) as folder:
             agent = PolicyAgent.load(save_policy(model, folder / f"{a.name.replace(' ', '-')}-{seed}"))
         for cell in EVALUATED:
-            split = "validation" if left_out and cell.startswith("helios") else a.split
-            entry[f"alone, {cell}"] = outcomes_in(agent, cell, a.episodes, split)
+            split, rows = a.split, tuple(left_out) or None
+            if rows and cell.startswith("helios"):
+                split, rows = "validation", None
+            entry[f"alone, {cell}"] = outcomes_in(agent, cell, a.episodes, split, rows)
             print(seed, cell, entry[f"alone, {cell}"], flush=True)
         figures = about | {"seeds": {}} | read_entry(RESULT, a.name, about)
         figures["seeds"][str(seed)] = entry
