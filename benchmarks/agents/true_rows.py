@@ -73,7 +73,7 @@ def main() -> None:
     command.add_argument("--per-scene", type=int, default=12, help="targets within reach of each scene")
     command.add_argument("--episodes", type=int, help="episodes drawn from the split instead")
     command.add_argument("--seed", type=int, default=0, help="of the first episode")
-    command.add_argument("--start", help="start configuration, such as folded; upright when left out")
+    command.add_argument("--start", help="start configuration, such as folded; that of the environment when left out")
     command.add_argument("--moved", action="store_true", help="the plants have moved since they were scanned")
     command.add_argument("--noise", action="store_true", help="add the noise of a D435 to the arm's camera")
     command.add_argument("--search", action="store_true", help="plan with the truth known")

@@ -22,8 +22,8 @@ from greenhouse_gym.errors import InvalidValueError
 from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.goal_options import GoalOptions, goal_options
 
-PATIENCE, PROGRESS = 20, 0.02
-"""Number of actions without progress, in radians, after which another goal is chosen."""
+MAX_STALL, PROGRESS = 20, 0.02
+"""Number of actions after which another goal is chosen if the arm has come no nearer than by ``PROGRESS``, radians."""
 
 _POSITION = "joint_position", "command_error"
 
@@ -71,13 +71,13 @@ class GoalChoosingAgent(NamedAgent):
             room = np.zeros((1, len(problem.robot.probes)))
             found = GoalOptions(problem.start[None], room)
         self._found = self._options = found
-        self._untried, self._nearest, self._since = np.empty(0, dtype=np.int64), np.inf, PATIENCE
+        self._untried, self._nearest, self._since = np.empty(0, dtype=np.int64), np.inf, MAX_STALL
 
     def act(self, observation: Any) -> Float32:
         """Return the next action (joints,); the first one of an episode chooses the goal."""
         joints, error = (np.asarray(observation[self._at[name]], dtype=np.float64) for name in _POSITION)
         distance = float(np.abs(self._options.configurations[0] - joints - error).max())
-        if self._since == PATIENCE:
+        if self._since == MAX_STALL:
             if not len(self._untried):
                 self._untried = np.arange(len(self._found.configurations))
             self._options = self._of(self._untried)

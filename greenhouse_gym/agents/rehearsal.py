@@ -108,7 +108,7 @@ class _Arm:
         return end
 
     def state(self, world: _World) -> State:
-        """Return the state (1, ...), of which only what the observation "state" needs is known."""
+        """Return the state (1, ...) with what the observation "state" needs; the rest is None."""
         data, tip = self.data, int(self._points[0])
         turn = self._base_from_scene[:3, :3].T
         points = (data.site_xpos[self._points] @ turn + self._base_from_scene[:3, 3])[None]

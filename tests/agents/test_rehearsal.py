@@ -12,7 +12,7 @@ from test_goal_choice import with_weights
 
 from greenhouse_gym.agents import GoalChoosingAgent, Problem, ShieldedAgent, make_agent
 from greenhouse_gym.agents.agent import Agent
-from greenhouse_gym.agents.goal_choice import PATIENCE
+from greenhouse_gym.agents.goal_choice import MAX_STALL
 from greenhouse_gym.agents.rehearsal import rehearse
 from greenhouse_gym.agents.watchful import WatchfulAgent
 from greenhouse_gym.envs import make_env
@@ -91,11 +91,11 @@ def test_an_arm_that_is_held_up_tries_each_goal(scene: Scene) -> None:
     held = np.zeros(len(agent.policy.center) - 21, dtype=np.float32)
     held[:6] = problem.start
     chosen = []
-    for _ in range((PATIENCE + 2) * MAX_OPTIONS):
+    for _ in range((MAX_STALL + 2) * MAX_OPTIONS):
         agent.act(held)
         chosen.append(tuple(agent.network_input(held)[0, -21:-15]))
     found = len(goal_options(compile_scene(scene, ROBOT), 4, ROBOT.start).configurations)
     assert len(set(chosen)) == found > 3
     values = [goal[1] for goal in dict.fromkeys(chosen)]
     assert values == sorted(values, reverse=True), "those of the highest value first"
-    assert chosen[0] == chosen[PATIENCE + 1] != chosen[PATIENCE + 2]
+    assert chosen[0] == chosen[MAX_STALL + 1] != chosen[MAX_STALL + 2]
