@@ -1,7 +1,7 @@
 """Rehearsals: what an agent would do in a known scene, found out before the arm moves.
 
-The arm is simulated as the environment simulates it, but alone, which takes a tenth of the time. As long as it touches
-nothing, the environment's arm would move in the same way; so its motion is checked for collisions afterwards.
+The arm is simulated as the environment simulates it, but alone. As long as it touches nothing, the environment's arm
+would move in the same way; so its motion is checked for collisions afterwards.
 """
 
 from __future__ import annotations

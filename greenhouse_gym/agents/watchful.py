@@ -113,13 +113,15 @@ class WatchfulAgent(JointAgent):
         check_flag("unexplained", unexplained)
         check_flag("noisy", noisy)
         self.status = ""
+        options: Mapping[str, Any] = JointAgent.env_options
         self._policy = None if policy is None else _shielded(policy)
-        if policy is not None:
-            self.name = f"{self.name}-{Path(policy).stem}"
+        if self._policy is not None:
+            self.name = f"{self.name}-{self._policy.name}"
+            self.takes_other_actions, options = False, self._policy.env_options
         self._levels = caution_levels(check_margin(margin), unexplained, depth)
         self._heed_unexplained, self._noisy = unexplained, noisy
         self.env_options: Mapping[str, Any] = {
-            **JointAgent.env_options, "observation": DepthObservation(DepthCamera("wrist", *size)),
+            **options, "observation": DepthObservation(DepthCamera("wrist", *size)),
         }  # fmt: skip
         self._problem: Problem | None = None
         self._episode: _Episode | None = None
@@ -275,13 +277,13 @@ class _Episode:
 
 
 def _shielded(policy: str | Path) -> ShieldedAgent:
-    agent = ShieldedAgent(load_policy(policy))
+    agent = load_policy(policy)
     given = tuple(agent.env_options.get(name) for name in ("observation", "action"))
     if given != ("state", "joint"):
         raise InvalidValueError(
             f"only a policy with observation='state' and action='joint' can be rehearsed, {policy} has {given}"
         )
-    return agent
+    return ShieldedAgent(agent, agent.name)
 
 
 def caution_levels(margin: float, unexplained: bool, depth: float) -> list[CautionLevel]:

@@ -72,6 +72,8 @@ def test_the_agent_that_looks_rehearses_a_policy(bank: SceneBank, tmp_path: Path
     path = with_weights([0, -1, 0, 0, 0, 0]).save(tmp_path / "straight")
     agent = WatchfulAgent(policy=path)
     assert agent.name == "watchful-straight"
+    assert agent.env_options["robot"] == "ur5e"
+    assert not agent.takes_other_actions, "the policy has joint actions"
     figures = evaluate(agent, "train", 6, bank=bank, progress=False, difficulty="easy")
     assert [record.collision for record in figures.records] == [False] * 6
     assert sum(record.success for record in figures.records) >= 4
