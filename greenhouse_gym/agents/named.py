@@ -64,9 +64,9 @@ def make_agent(name: str) -> Agent:
     """Make an agent by name: a baseline, a planner, a shipped policy, a policy's file, or your own.
 
     Args:
-        name: Such as "random", "RRTConnect", "ppo-ur5e", "shielded-ppo-ur5e", "runs/ppo/policy.json", "runs/ppo" (the
-            folder of a training), "my_agent.py:MyAgent" or "my_package.agents:MyAgent": a class that is called without
-            arguments, or an agent.
+        name: Such as "random", "RRTConnect", "ppo-ur5e", "shielded-ppo-ur5e", "watchful-ppo-goals-ur5e",
+            "runs/ppo/policy.json", "runs/ppo" (the folder of a training), "my_agent.py:MyAgent" or
+            "my_package.agents:MyAgent": a class that is called without arguments, or an agent.
 
     Raises:
         UnknownNameError: No such agent; the message lists those of every kind.
