@@ -19,7 +19,6 @@ from greenhouse_gym.agents.policy import Float32, Policy
 from greenhouse_gym.agents.policy_agent import PolicyAgent, check_arm, read_policy
 from greenhouse_gym.envs.features import feature_slices
 from greenhouse_gym.errors import InvalidValueError
-from greenhouse_gym.geometry import Array
 from greenhouse_gym.motion.goal_options import GoalOptions, goal_options
 
 MAX_STALL, PROGRESS = 20, 0.02
@@ -81,7 +80,7 @@ class GoalChoosingAgent(NamedAgent):
             if not len(self._untried):
                 self._untried = np.arange(len(self._found.configurations))
             self._options = self._of(self._untried)
-            chosen = self._choose(observation, joints, joints + error)
+            chosen = int(self.policy.value(self.network_input(observation)).argmax())
             self._options = self._of(self._untried[chosen : chosen + 1])
             self._untried = np.delete(self._untried, chosen)
             self._nearest, self._since = np.inf, 0
@@ -90,10 +89,6 @@ class GoalChoosingAgent(NamedAgent):
         else:
             self._since += 1
         return np.asarray(self.policy(self.network_input(observation))[0])
-
-    def _choose(self, observation: Any, joints: Array, command: Array) -> int:
-        """Return the index of the goal to move to among the options."""
-        return int(self.policy.value(self.network_input(observation)).argmax())
 
     def _of(self, ids: npt.NDArray[np.int64]) -> GoalOptions:
         return GoalOptions(*(part[ids] for part in self._found))

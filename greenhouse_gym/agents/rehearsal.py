@@ -24,7 +24,7 @@ from greenhouse_gym.motion.collision import PROOF, planning_model
 from greenhouse_gym.motion.distance_field import FieldsOfSimulations, FieldStore
 from greenhouse_gym.motion.joint_reaches import arm_reaches
 from greenhouse_gym.motion.kernel_checker import search_checker
-from greenhouse_gym.motion.success import SUCCESS_RADIUS
+from greenhouse_gym.motion.success import is_reached
 from greenhouse_gym.robots import Robot
 from greenhouse_gym.scene import compile_scene
 from greenhouse_gym.scene.mjcf import CompiledScene, arm_pose
@@ -42,8 +42,8 @@ def rehearse(agent: Agent, problem: Problem) -> Array | None:
         problem: The episode: a known scene and the configuration in which the arm rests at first.
 
     Returns:
-        (t, j) commanded joint positions after each action, radians; None if the target is not reached within the
-        episode's steps, or something is touched.
+        (t, j) commanded joint positions after each action, radians; None if the target is not reached in fewer
+        actions than the episode allows, or something is touched.
     """
     arm, world = _Arm(problem), _world(problem)
     observe: Callable[[State], Any] = make_observation("state", problem.robot, TomatoReach())
@@ -51,7 +51,7 @@ def rehearse(agent: Agent, problem: Problem) -> Array | None:
     joints, commands = [problem.start], [problem.start]
     for _ in range(problem.step_limit):
         state = arm.state(world)
-        if np.linalg.norm(state.grasp - state.target) < SUCCESS_RADIUS:
+        if is_reached(float(np.linalg.norm(state.grasp - state.target))):
             break
         action = np.clip(np.asarray(agent.act(observe(state)[0]), dtype=np.float64), -1.0, 1.0)
         commands.append(arm.act(action, commands[-1]))

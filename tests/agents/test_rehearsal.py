@@ -16,7 +16,7 @@ from greenhouse_gym.agents.goal_choice import MAX_STALL
 from greenhouse_gym.agents.rehearsal import rehearse
 from greenhouse_gym.agents.watchful import WatchfulAgent
 from greenhouse_gym.envs import make_env
-from greenhouse_gym.errors import InvalidValueError
+from greenhouse_gym.errors import InvalidValueError, UnknownNameError
 from greenhouse_gym.evaluation import evaluate
 from greenhouse_gym.geometry import Box
 from greenhouse_gym.motion.goal_options import MAX_OPTIONS, goal_options
@@ -84,6 +84,9 @@ def test_the_agent_that_looks_takes_shipped_policies_by_name() -> None:
     assert make_agent("watchful-ppo-goals-ur5e").name == "watchful-ppo-goals-ur5e"
     with pytest.raises(InvalidValueError, match=r"observation='state' and action='joint' can be rehearsed, ppo-warp"):
         make_agent("watchful-ppo-warp-ur5e")
+    for missing in ("watchful-ppo", "watchful-"):
+        with pytest.raises(UnknownNameError, match="watchful-POLICY"):
+            make_agent(missing)
 
 
 def test_an_arm_that_is_held_up_tries_each_goal(scene: Scene) -> None:

@@ -77,7 +77,7 @@ def test_a_canceled_piece_of_work_really_ends(cluster: RayExecutor, tmp_path: Pa
 
 
 def test_work_that_ends_while_it_is_canceled_does_no_harm(cluster: RayExecutor) -> None:
-    for _ in range(200):  # Ray aborts the caller within about a hundred if it is told to stop them at once
+    for _ in range(200):  # Ray aborts the caller within about a hundred if it stops them at once
         with pytest.raises(FileFormatError):
             list(completed(spoiled, range(10), cluster))
 
