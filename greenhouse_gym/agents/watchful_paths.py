@@ -35,7 +35,7 @@ VOXELS = (0.01, 0.004)
 MAX_CHECKS, NUM_GOALS = 30_000, 60
 """Collision checks of RRTConnect, and the goals that are sampled for each retry."""
 
-REHEARSED_STEPS = 60
+REHEARSED_STEPS = 100
 """Number of actions in which a rehearsal must reach the target."""
 
 _NO_CAUTION = (CautionLevel(0.0, np.inf, unexplained=True), CautionLevel(0.0, np.inf))
