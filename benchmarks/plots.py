@@ -35,6 +35,7 @@ COLORS = ("#2e9e5b", "#e8704a", "#4f8fd9", "#c9a227", "#a56cc1", "#7f8c8d")
 
 AGENTS = (
     "watchful",
+    "watchful-ppo-goals-ur5e",
     "RRTConnect",
     "ppo-roadmap-ur5e",
     "shielded-ppo-goals-ur5e",
@@ -136,7 +137,7 @@ def difficulty() -> Figure:
     """Draw successes in the true row by difficulty."""
     figure, axes = plt.subplots(figsize=(8, 4))
     entries = agent_entries()
-    chosen = [agent for agent in AGENTS[:-1] if f"{agent}, truth" in entries]
+    chosen = [agent for agent in AGENTS[: len(COLORS)] if f"{agent}, truth" in entries]
     series = {
         agent: [counted(entries[f"{agent}, truth"]["by_difficulty"][d]) for d in DIFFICULTIES] for agent in chosen
     }

@@ -93,6 +93,10 @@ def main() -> None:
         ("[drift](docs/results/drift.md) of a reconstructed row of 5 m", drift()),
         ("[reached in the true row](docs/results/agents.md), trusting the scan (`RRTConnect`)", reached("RRTConnect")),
         ("[reached in the true row](docs/results/agents.md), looking first (`watchful`)", reached("watchful")),
+        (
+            "the same, rehearsing a policy instead of planning (`watchful-ppo-goals-ur5e`)",
+            reached("watchful-ppo-goals-ur5e"),
+        ),
         ("[ripe fruit crated](docs/results/harvest.md) in true stands, by scan and wrist camera", harvested()),
         ("[learned in 4 minutes on one core](docs/results/learning.md), easy own targets, as scanned", lesson()),
         (

@@ -25,6 +25,8 @@ _OUTPUT: Mapping[str, Callable[[Float32], Float32]] = {"clip": lambda x: np.clip
 
 _ACTOR, _CRITIC = "layer", "value_layer"  # prefixes of the names of arrays
 
+_STORED = (np.float32, np.float16)  # types of numbers in a weights file
+
 MAX_LAYERS, MAX_WIDTH = 16, 1 << 14
 """Largest number of layers, and of entries in each."""
 
@@ -151,7 +153,7 @@ class Policy:
         ):
             for i, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
                 arrays[f"{prefix}_{i}.weight"], arrays[f"{prefix}_{i}.bias"] = weight, bias
-        content = _safetensors().save({k: np.ascontiguousarray(a, dtype=np.float32) for k, a in arrays.items()})
+        content = _safetensors().save({k: _compact(a) for k, a in arrays.items()})
         try:
             description = Description(
                 network=_Network(
@@ -197,7 +199,7 @@ class Policy:
         if flaw := _flaw(arrays, description):
             raise FileFormatError(weights_file, f"does not fit {description_file.name}: {flaw}")
         # Products of unaligned arrays, as a file may contain them, are summed in another order.
-        aligned = {name: np.require(array, requirements=["C", "A"]) for name, array in arrays.items()}
+        aligned = {name: np.require(array, np.float32, ["C", "A"]) for name, array in arrays.items()}
 
         def layers(prefix: str, kind: str, sizes: list[int]) -> tuple[Float32, ...]:
             return tuple(aligned[f"{prefix}_{i}.{kind}"] for i in range(len(sizes) - 1))
@@ -236,14 +238,22 @@ def _flaw(arrays: Mapping[str, npt.NDArray[Any]], description: Description) -> s
             shapes |= {f"{prefix}_{i}.weight": (outputs, inputs), f"{prefix}_{i}.bias": (outputs,)}
     for name, shape in shapes.items():
         array = arrays.get(name)
-        if array is None or array.shape != shape or array.dtype != np.float32:
+        if array is None or array.shape != shape or array.dtype not in _STORED:
             found = "nothing" if array is None else f"{array.dtype} of shape {array.shape}"
-            return f"{name} must be float32 of shape {shape}, found {found}"
+            return f"{name} must be float32 or float16 of shape {shape}, found {found}"
         if not np.isfinite(array).all():
             return f"{name} has entries that are not finite"
     if unknown := sorted(arrays.keys() - shapes.keys()):
         return f"unknown array {unknown[0]!r}"
     return "" if arrays["scale"].all() else "scale has zeros"
+
+
+def _compact(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return an array in half precision if that changes no entry, otherwise in single precision."""
+    single = np.ascontiguousarray(array, dtype=np.float32)
+    with np.errstate(over="ignore"):
+        half = single.astype(np.float16)
+    return half if np.array_equal(half, single) else single
 
 
 def _sizes(weights: tuple[Float32, ...]) -> list[int]:

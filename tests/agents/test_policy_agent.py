@@ -3,6 +3,7 @@ from __future__ import annotations
 import hashlib
 import json
 import random
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -65,6 +66,22 @@ def test_saved_and_loaded_policies_are_equal(policy: Policy, tmp_path: Path, suf
     assert agent.name == "p-0.5"
 
 
+def test_weights_take_half_the_space_where_nothing_is_lost(policy: Policy, tmp_path: Path) -> None:
+    from safetensors.numpy import load_file
+
+    rounded, exact = np.float32(np.float16(policy.weights[0])), policy.weights[1] + np.float32(1e-5)
+    large = policy.biases[0] + np.float32(1e5)  # beyond half precision
+    mixed = replace(policy, weights=(rounded, exact, *policy.weights[2:]), biases=(large, *policy.biases[1:]))
+    path = mixed.save(tmp_path / "p")
+    stored = load_file(path.with_suffix(".safetensors"))
+    assert stored["layer_0.weight"].dtype == np.float16
+    assert stored["layer_1.weight"].dtype == stored["layer_0.bias"].dtype == np.float32
+    loaded = Policy.load(path)
+    for a, b in zip((*mixed.weights, *mixed.biases), (*loaded.weights, *loaded.biases), strict=True):
+        assert b.dtype == np.float32
+        np.testing.assert_array_equal(a, b)
+
+
 def test_a_file_states_the_action_and_without_one_it_is_of_the_joints(policy: Policy, tmp_path: Path) -> None:
     path = policy.save(tmp_path / "p")
     assert Policy.load(path).env_options == {"robot": "ur5e", "action": EnvSettings().action}
@@ -80,7 +97,7 @@ def test_damaged_files_are_named(policy: Policy, tmp_path: Path) -> None:
         PolicyAgent.load(tmp_path / "q")
     content = json.loads(path.read_text())
     damages = {
-        r"layer_0.weight must be float32 of shape \(6, 4\)": {
+        r"layer_0.weight must be float32 or float16 of shape \(6, 4\)": {
             **content,
             "network": {"kind": "mlp", "sizes": [4, 6, 2], "activation": "tanh"},
         },
@@ -141,7 +158,7 @@ def test_what_a_file_cannot_hold_is_not_written(policy: Policy, tmp_path: Path) 
     for changed, told in (
         ({"env_options": {"observation": object()}}, r"env_options|observation: Input should be a valid string"),
         ({"weights": tuple(w[:, :-1] for w in policy.weights)}, "has 4 entries, the network takes 3"),
-        ({"biases": policy.biases[::-1]}, r"layer_0.bias must be float32 of shape \(5,\)"),
+        ({"biases": policy.biases[::-1]}, r"layer_0.bias must be float32 or float16 of shape \(5,\)"),
         ({"scale": np.zeros(4, dtype=np.float32)}, "scale has zeros"),
         ({"biases": (policy.biases[0] * np.nan, policy.biases[1])}, "not finite"),
         ({"training": {"by": object()}}, "not JSON"),
