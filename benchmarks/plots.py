@@ -134,7 +134,7 @@ def choice() -> Figure:
 
 
 def difficulty() -> Figure:
-    """Draw successes in the true row by difficulty."""
+    """Draw successes in the true row by difficulty, of as many agents as there are colors."""
     figure, axes = plt.subplots(figsize=(8, 4))
     entries = agent_entries()
     chosen = [agent for agent in AGENTS[: len(COLORS)] if f"{agent}, truth" in entries]
